@@ -28,7 +28,6 @@ from suspnet.cli.kinds import read_vehicles
 from suspnet.dynamics import PARAMETERS, QuarterCar
 from suspnet.dynamics.quantities import PARTS, QUANTITIES
 from suspnet.ground.storage import write_atomically
-from suspnet.recordings.formats import FORMATS
 from suspnet.runs import fair, readings
 from suspnet.runs.paper import impact_rows
 from suspnet.runs.tables import MODEL_TITLES, table6_caption, table6_markdown
@@ -191,16 +190,6 @@ def family(_: Sequence[Row]) -> str:
         if line[0] == above[0]:
             above[0] = ""
     return markdown(lines, ["part", "name", "meaning", "nominal", "deviation"])
-
-
-def formats(_: Sequence[Row]) -> str:
-    """Return what files of each format state about their data, and what is done with it."""
-    lines = [
-        [", ".join(f"`{suffix}`" for suffix in one.suffixes), what, done]
-        for one in FORMATS
-        for what, done in one.states.items()
-    ]
-    return markdown(lines, ["files", "state", "what is done with it"])
 
 
 def digits(percent: float) -> str:
@@ -421,7 +410,6 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "mismatch_short": ("mismatch.csv", mismatch_short),
     "healthy_km": ("healthy_km.csv", healthy_km),
     "family": (None, family),
-    "formats": (None, formats),
     "against_n": ("against_n.csv", against_n),
     "plan": ("plan.csv", plan),
     "alarms": ("alarms.csv", alarms),

@@ -12,10 +12,12 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-import pytest
-from recording_files import write_tdms, write_uff
+from recording_files import needed, write_tdms, write_uff
 from scipy.io import savemat
 
+from suspnet.recordings.formats import FORMATS
+
+SUFFIXES = [form.suffixes[0] for form in FORMATS]
 SECRET = 42.625
 """Value of each sample of ``secret.h5``; ``secret`` holds its bytes."""
 A = np.arange(50.0)
@@ -43,7 +45,7 @@ FORMULAS = {
 
 def prepare(folder: Path) -> None:
     """Write what must not be read into a folder."""
-    h5py = pytest.importorskip("h5py")
+    h5py = needed("h5py")
     (folder / "secret").write_bytes(np.full(200, SECRET).tobytes())
     with h5py.File(folder / "secret.h5", "w") as file:
         file["x"] = np.full(200, SECRET)
@@ -63,7 +65,7 @@ def formula(folder: Path, text: str) -> str:
 
 def mdf(folder: Path, *, text=FORMULAS["system"], version="4.10", place="value", kind="f8") -> Path:
     """Write an MDF file with a formula at some place."""
-    asammdf = pytest.importorskip("asammdf")
+    asammdf = needed("asammdf")
     text = formula(folder, text)
     if version < "4":
         from asammdf.blocks.v2_v3_blocks import ChannelConversion
@@ -94,7 +96,7 @@ def mdf(folder: Path, *, text=FORMULAS["system"], version="4.10", place="value",
 
 def mdf_comment(folder: Path, text: str) -> Path:
     """Write an MDF file with XML as the comment of the file and of the channel."""
-    asammdf = pytest.importorskip("asammdf")
+    asammdf = needed("asammdf")
     text = text.replace("{folder}", str(folder))
     with asammdf.MDF(version="4.10") as file:
         file.append([asammdf.Signal(A, A / 10, name="a", unit="g", comment=text)])
@@ -105,7 +107,7 @@ def mdf_comment(folder: Path, text: str) -> Path:
 
 def mdf_attachment(folder: Path, *, embedded: bool) -> Path:
     """Write an MDF file with an attachment that is a script, or another file."""
-    asammdf = pytest.importorskip("asammdf")
+    asammdf = needed("asammdf")
     with asammdf.MDF(version="4.10") as file:
         file.append([asammdf.Signal(A, A / 10, name="a", unit="g")])
         script = f"#!/bin/sh\ntouch {folder}/canary\n".encode()
@@ -122,7 +124,7 @@ def mdf_attachment(folder: Path, *, embedded: bool) -> Path:
 
 def hdf5(folder: Path, fill, suffix=".h5") -> Path:
     """Write an HDF5 file that a function fills."""
-    h5py = pytest.importorskip("h5py")
+    h5py = needed("h5py")
     path = folder / f"data{suffix}"
     with h5py.File(path, "w", userblock_size=512 if suffix == ".mat" else 0) as file:
         fill(h5py, file, folder)
@@ -243,7 +245,7 @@ def mat_pickle(folder: Path) -> Path:
 
 def tdms(folder: Path, *, index=False, scale="") -> Path:
     """Write a TDMS file: with the index of another file beside it, or a scale that is code."""
-    nptdms = pytest.importorskip("nptdms")
+    nptdms = needed("nptdms")
     path = folder / "data.tdms"
     properties = {}
     if scale:
@@ -357,10 +359,7 @@ ACTING = {
     "hdf5 references": partial(hdf5, fill=references),
     **{f"mat class {number}": partial(mat_class, number=number) for number in (3, 16, 17)},
     "mat pickle": mat_pickle,
-    **{
-        f"pickle as {suffix}": partial(pickled, suffix=suffix)
-        for suffix in (".mat", ".h5", ".mf4", ".tdms", ".uff", ".wav", ".parquet", ".csv")
-    },
+    **{f"pickle as {suffix}": partial(pickled, suffix=suffix) for suffix in SUFFIXES},
     "tdms index": partial(tdms, index=True),
     **{
         f"tdms {scale}": partial(tdms, scale=scale)
@@ -370,10 +369,7 @@ ACTING = {
     "parquet path": parquet_path,
     "uff": uff,
     "csv": csv,
-    **{
-        f"link as {suffix}": partial(linked, suffix=suffix)
-        for suffix in (".mat", ".h5", ".mf4", ".tdms", ".uff", ".wav", ".parquet", ".csv")
-    },
+    **{f"link as {suffix}": partial(linked, suffix=suffix) for suffix in SUFFIXES},
 }
 HARMLESS = (
     *("mdf xml laughs", "mdf xml entity", "mdf attachment", "mdf other file", "hdf5 references"),

@@ -11,7 +11,7 @@ from suspnet.estimation.commissioning import commission
 from suspnet.estimation.healthy_misfit import HealthySpectra
 from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.recordings.manifest import CHANNELS, TripManifest
-from suspnet.recordings.manifest_sources import Channel
+from suspnet.recordings.manifest_sources import SensorSource
 from suspnet.spectra.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.speeds import Speeds
@@ -33,7 +33,7 @@ SPEEDS = (60.0, 70.0, 60.0)
 
 
 def trip(name, mileage_km, **changes):
-    channels = {channel: Channel(f"{channel}.csv", "g") for channel in CHANNELS}
+    channels = {channel: SensorSource(f"{channel}.csv", "g") for channel in CHANNELS}
     path = Path(f"/trips/{mileage_km:.0f}.yaml")
     fields = {"vehicle": "am96", "suspension": "S1", "start": None, "speed": 70.0} | changes
     return TripManifest(path=path, name=name, mileage_km=mileage_km, channels=channels, **fields)

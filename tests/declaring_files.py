@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-import pytest
-from recording_files import write_mdf, write_tdms, write_uff
+from recording_files import needed, write_mdf, write_tdms, write_uff
+
+from suspnet.recordings.formats import FORMATS
 
 A = np.arange(50.0)
 ZEROS = 2**24
@@ -25,7 +26,7 @@ ZEROS = 2**24
 
 def hdf5(folder: Path, *, shape, suffix=".h5", data=None, **how) -> Path:
     """Write a data set of which nothing is stored but its shape."""
-    h5py = pytest.importorskip("h5py")
+    h5py = needed("h5py")
     path = folder / f"data{suffix}"
     with h5py.File(path, "w", userblock_size=512 if suffix == ".mat" else 0) as file:
         file.create_dataset("a", shape, "f8", data, **how)
@@ -37,7 +38,7 @@ def hdf5(folder: Path, *, shape, suffix=".h5", data=None, **how) -> Path:
 
 def hdf5_packed(folder: Path, *, n_chunks: int, n: int = ZEROS) -> Path:
     """Write packed zeros: each chunk of 128 MB is 128 kB."""
-    h5py = pytest.importorskip("h5py")
+    h5py = needed("h5py")
     with h5py.File(folder / "data.h5", "w") as file:
         data = file.create_dataset("a", (n_chunks * n,), "f8", chunks=(n,), compression="gzip")
         chunk = zlib.compress(bytes(8 * n), 9)
@@ -48,7 +49,7 @@ def hdf5_packed(folder: Path, *, n_chunks: int, n: int = ZEROS) -> Path:
 
 def hdf5_note(folder: Path, *, size: int) -> Path:
     """Write an attribute's neighbour, a text of gigabytes, beside a column."""
-    h5py = pytest.importorskip("h5py")
+    h5py = needed("h5py")
     with h5py.File(folder / "data.h5", "w") as file:
         file["g/a"] = A
         file.create_dataset("g/unit", (1,), f"S{size}", chunks=None)
@@ -187,7 +188,7 @@ def mdf(folder: Path, *, n: int, version="4.10", hole: bool = False) -> Path:
 
 def mdf_packed(folder: Path, *, size: int) -> Path:
     """Write an MDF file with a packed block that declares more than it holds."""
-    asammdf = pytest.importorskip("asammdf")
+    asammdf = needed("asammdf")
     with asammdf.MDF(version="4.10") as file:
         zeros = np.zeros(10**5)
         file.append([asammdf.Signal(zeros, np.arange(len(zeros)) / 700, name="a")])
@@ -244,7 +245,7 @@ def no_file(folder: Path, *, suffix: str, kind: str) -> Path:
 
 
 NOT_FILES = ("pipe", "folder", "socket", "loop", "/dev/zero", "/dev/random", "/dev/tty")
-SUFFIXES = (".csv", ".h5", ".mat", ".mf4", ".parquet", ".tdms", ".uff", ".wav")
+SUFFIXES = [form.suffixes[0] for form in FORMATS]
 ROWS = "t,a\n" + "".join(f"{i},{i}\n" for i in range(40_000))
 DECLARING = {
     **{f"hdf5 of {n:.0e}": partial(hdf5, shape=(n,)) for n in (10**8, 10**9, 10**11, 10**15)},

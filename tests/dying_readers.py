@@ -29,7 +29,7 @@ def happen(word):
         case "exit":
             os._exit(3)
         case "short of memory":
-            os.kill(os.getpid(), signal.SIGKILL)
+            signal.raise_signal(signal.SIGKILL)
         case "hang":
             time.sleep(600)
         case "hang inside":  # as C that never gives Python a turn
@@ -47,7 +47,7 @@ def happen(word):
 
 
 @contextmanager
-def open_dying(path, _=None):
+def open_dying(path):
     """Open a file with the columns `t` and `a`, of twelve samples each."""
     word, _, at = path.read_text().partition(":")
     if not at:

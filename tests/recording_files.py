@@ -13,8 +13,16 @@ from scipy.io import savemat, wavfile
 
 from suspnet.recordings.formats import CSV_SUFFIXES
 from suspnet.recordings.manifest import TripManifest
-from suspnet.recordings.manifest_sources import Source
+from suspnet.recordings.manifest_sources import FileSource
 from suspnet.recordings.sources import open_source
+
+EXTRAS = {"asammdf": "mdf", "h5py": "hdf5", "nptdms": "tdms", "pyuff": "uff"}
+
+
+def needed(module: str):
+    """Return a module of an extra; the test is skipped where it is not installed."""
+    reason = f'runs after pip install -e ".[{EXTRAS[module]}]"'
+    return pytest.importorskip(module, reason=reason)
 
 
 def bare_manifest(folder: Path) -> TripManifest:
@@ -30,7 +38,7 @@ def bare_manifest(folder: Path) -> TripManifest:
     )
 
 
-def opened(path: Path, source: Source, where: str = "here"):
+def opened(path: Path, source: FileSource, where: str = "here"):
     """Open a source next to a manifest that says nothing else."""
     return open_source(bare_manifest(path.parent), source, where)
 
@@ -58,7 +66,7 @@ def write_mat(path: Path, columns: Mapping, **_) -> None:
 
 
 def write_hdf5(path: Path, columns: Mapping, **said) -> None:
-    h5py = pytest.importorskip("h5py")
+    h5py = needed("h5py")
     with h5py.File(path, "w") as file:
         for name, values in columns.items():
             file[name] = np.asarray(values)[None, :]  # as MATLAB 7.3 does
@@ -67,7 +75,7 @@ def write_hdf5(path: Path, columns: Mapping, **said) -> None:
 
 
 def write_tdms(path: Path, columns: Mapping, **said) -> None:
-    nptdms = pytest.importorskip("nptdms")
+    nptdms = needed("nptdms")
     properties = {"wf_increment": 1 / said["rate_hz"]} if "rate_hz" in said else {}
     properties |= {"unit_string": said["unit"]} if "unit" in said else {}
     properties |= {"wf_start_time": said["start"]} if "start" in said else {}
@@ -82,7 +90,7 @@ def write_tdms(path: Path, columns: Mapping, **said) -> None:
 
 
 def write_mdf(path: Path, columns: Mapping, **said) -> None:
-    asammdf = pytest.importorskip("asammdf")
+    asammdf = needed("asammdf")
     with asammdf.MDF(version="4.10") as file:
         at = np.arange(len(next(iter(columns.values())))) / said.get("rate_hz", 1.0)
         file.append(
@@ -98,7 +106,7 @@ def write_mdf(path: Path, columns: Mapping, **said) -> None:
 
 
 def write_uff(path: Path, columns: Mapping, **said) -> None:
-    pyuff = pytest.importorskip("pyuff")
+    pyuff = needed("pyuff")
     if not len(next(iter(columns.values()))):
         path.write_text("")
         return

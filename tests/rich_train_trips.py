@@ -22,7 +22,7 @@ from suspnet.dynamics import PARAMETERS
 from suspnet.dynamics.track import make_profile
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.manifest_files import write_manifest
-from suspnet.recordings.manifest_sources import Channel, SpeedSource
+from suspnet.recordings.manifest_sources import SensorSource, SpeedSource
 from suspnet.simulation.fleet import FIRST_DAY
 from suspnet.simulation.signals import LEAD_IN_S, MARGIN_M, Journey
 from suspnet.simulation.writing import ANTI_ALIAS, time_between
@@ -193,7 +193,7 @@ def _write(folder, fleet, train, index, ratios, drive, signals, sides, rng):
         file = f"{name}/{channel}.parquet"
         _write_columns(folder / file, recorded)
         channels[channel] = [
-            Channel(file, "m/s2", column=column, rate_hz=sensor.rate_hz) for column in recorded
+            SensorSource(file, "m/s2", column=column, rate_hz=sensor.rate_hz) for column in recorded
         ]
     seconds = np.arange(math.floor(drive.journey.duration_s) + 1.0)
     _write_columns(folder / name / "speed.parquet", {"speed": drive.journey.at(seconds)[1]})

@@ -19,7 +19,7 @@ from suspnet.dynamics.quantities import UNMEASURED
 from suspnet.dynamics.track import make_profile, track_spectrum
 from suspnet.recordings.manifest import CHANNELS, TripManifest
 from suspnet.recordings.manifest_files import write_manifest
-from suspnet.recordings.manifest_sources import Channel, SpeedSource
+from suspnet.recordings.manifest_sources import SensorSource, SpeedSource
 from suspnet.simulation import Scenario
 from suspnet.simulation.fleet import FIRST_DAY
 from suspnet.simulation.signals import LEAD_IN_S, MARGIN_M, Journey, profile_length_m
@@ -125,7 +125,7 @@ def _write(folder, fleet, index, ratios, journey, signals, rate_hz, noise):
         ratio = Fraction(sensor.rate_hz / rate_hz).limit_denominator(1000)
         resampled = resample_poly(signal, ratio.numerator, ratio.denominator, window=ANTI_ALIAS)
         _write_column(folder, file := f"{name}/{channel}.parquet", sensor.record(resampled, rng))
-        channels[channel] = Channel(file, "m/s2", column="value", rate_hz=sensor.rate_hz)
+        channels[channel] = SensorSource(file, "m/s2", column="value", rate_hz=sensor.rate_hz)
     seconds = np.arange(math.floor(journey.duration_s) + 1.0)
     _write_column(folder, file := f"{name}/speed.parquet", journey.at(seconds)[1])
     return write_manifest(

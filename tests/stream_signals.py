@@ -7,7 +7,7 @@ import pyarrow.parquet as pq
 from suspnet.live.journal import dump_state, load_state
 from suspnet.recordings.frames import Frame, FrameError, decode, encode
 from suspnet.recordings.manifest import CHANNELS, TripManifest
-from suspnet.recordings.manifest_sources import Channel, SpeedSource
+from suspnet.recordings.manifest_sources import SensorSource, SpeedSource
 from suspnet.recordings.recording import load_recording
 
 ZERO_NS = 1_700_000_000_000_000_000
@@ -90,8 +90,8 @@ def manifest_in(folder, rates_hz=RATES_HZ):
         name: {"file": f"{name}.parquet", "rate_hz": rate_hz, "start_s": STARTS_S[name]}
         for name, rate_hz in rates_hz.items()
     }
-    channels = {name: Channel(unit="m/s2", sign=-1, **sources[name]) for name in CHANNELS}
-    channels["body"] = Channel(unit="m/s2", range=50.0, **sources["body"])
+    channels = {name: SensorSource(unit="m/s2", sign=-1, **sources[name]) for name in CHANNELS}
+    channels["body"] = SensorSource(unit="m/s2", range=50.0, **sources["body"])
     speed = SpeedSource(unit="m/s", **sources["speed"]) if "speed" in sources else 70.0
     return TripManifest(
         path=folder / "trip.yaml",

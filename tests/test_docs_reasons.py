@@ -10,7 +10,7 @@ from suspnet.recordings.cleaning import KINDS
 from suspnet.recordings.formats import READERS
 from suspnet.recordings.manifest import MANIFEST
 from suspnet.recordings.manifest_keys import CsvDialect, keys_of
-from suspnet.recordings.manifest_sources import Channel
+from suspnet.recordings.manifest_sources import SensorSource
 from suspnet.spectra.peaks import PeakReason
 
 ROOT = Path(__file__).parents[1]
@@ -42,7 +42,7 @@ def test_all_kinds_of_faults_and_of_missing_peaks_are_named():
         assert f"`{kind}`" in PAGE
 
 
-@pytest.mark.parametrize("keys", [MANIFEST, keys_of(Channel), keys_of(CsvDialect)])
+@pytest.mark.parametrize("keys", [MANIFEST, keys_of(SensorSource), keys_of(CsvDialect)])
 def test_tables_of_keys_are_the_schema_of_manifests(keys):
     (table,) = (
         one.splitlines()[2:]

@@ -30,7 +30,6 @@ from suspnet.recordings.columns import (
 )
 from suspnet.recordings.dates import nanoseconds, read_date
 from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest_keys import CsvDialect
 
 RATE_NAMES = ("ratehz", "fs", "samplerate", "samplingrate", "samplefrequency", "samplingfrequency")
 UNIT_NAMES = ("unit", "units")
@@ -39,15 +38,12 @@ DATE_NAMES = ("start", "starttime", "startdate", "date", "datetime", "timestamp"
 compared in lower case, without blanks and underscores."""
 NUMERIC = ("single", "double", *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64)))
 """Classes of MAT file variables that hold numbers."""
-MOST_PARTS = 1000
+MOST_COLUMNS = 1000
 """Largest number of columns of a matrix, and of cells of a variable of MATLAB."""
 MOST_CELLS = 4
 """Largest number of cells within cells."""
 MISSING_NAMES = ("_FillValue", "missing_value")
-PACKING = (
-    *MISSING_NAMES,
-    *("scale_factor", "add_offset", "valid_min", "valid_max", "valid_range"),
-)
+PACKING = (*MISSING_NAMES, *("scale_factor", "add_offset", "valid_min", "valid_max", "valid_range"))
 """Attributes of netCDF on missing samples, scale, offset and valid limits of stored numbers."""
 UNAPPLIED = (
     *(re.sub("_", "", name).lower() for name in PACKING),
@@ -68,21 +64,23 @@ MOST_NOTE_BYTES = 2**12
 
 
 @contextmanager
-def open_hdf5(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
+def open_hdf5(path: Path) -> Iterator[OpenFile]:
     """Open an HDF5 file; data sets that need other files or plug-ins are refused when read."""
     h5py = import_extra("h5py", "hdf5", f"{path}: an HDF5 file", TripError)
     with h5py.File(path, "r", rdcc_nbytes=MOST_CHUNK_BYTES) as file:
-        found = _Content(h5py, file)
-        file.visititems(found.collect)  # h5py calls it for hard links only
+        content = _Content(h5py, file)
+        file.visititems(content.collect)  # h5py calls it for hard links only
         # single values follow the vectors, as most describe one of them and are no signals
-        arrays = dict(sorted(found.arrays.items(), key=lambda item: max(item[1].shape) <= 1))
-        whole = {key: one for key, one in _stated(_attributes(file)).items() if key == "date"}
-        descriptions = {name: whole | found.described(name) for name in arrays}
-        with _opened(path, arrays, descriptions, found.unread) as opened:
-            words = at(
-                path.name, "attributes-not-applied", unapplied=together(found.unapplied, ", ")
+        arrays = dict(sorted(content.arrays.items(), key=lambda item: max(item[1].shape) <= 1))
+        date = {k: value for k, value in _stated(_attributes(file)).items() if k == "date"}
+        descriptions = {name: date | content.described(name) for name in arrays}
+        opened = _opened(path, arrays, descriptions, content.unread)
+        if content.unapplied:
+            unapplied = together(content.unapplied, ", ")
+            opened = replace(
+                opened, words=at(path.name, "attributes-not-applied", unapplied=unapplied)
             )
-            yield replace(opened, words=words) if found.unapplied else opened
+        yield opened
 
 
 class _Content:
@@ -118,18 +116,17 @@ class _Content:
         self.unapplied += [repr(f"{name}.{key}") for key in unapplied]
         if "MATLAB_empty" in item.attrs or "MATLAB_int_decode" in item.attrs:
             return
-        fields = item.dtype.names or ()
-        parts = {f"{name}.{one}": _field(item, one) for one in fields} or {name: item}
-        for place, part in parts.items():
-            if not (why := _no_numbers(part)):
+        fields = {f"{name}.{field}": _field(item, field) for field in item.dtype.names or ()}
+        for place, array in (fields or {name: item}).items():
+            if not (why := _no_numbers(array)):
                 self.datasets[place] = item
-                self.arrays[place] = part if fields else _packed(item, self.h5py)
+                self.arrays[place] = array if fields else _packed(item, self.h5py)
             elif why.strip():
                 self.unread[place] = why
 
     def _collect_cells(self, name: str, item: Any) -> None:
         """Add the content of MATLAB's cells, to which references lead."""
-        if item.size > MOST_PARTS or name.count("[") >= MOST_CELLS:
+        if item.size > MOST_COLUMNS or name.count("[") >= MOST_CELLS:
             raise ValueError("nested references")
         for i, reference in enumerate(item[()].ravel()):
             content = self.file[reference] if reference else None
@@ -137,15 +134,18 @@ class _Content:
                 continue
             self.collect(f"{name}[{i}]", content)
             if isinstance(content, self.h5py.Group):
-                content.visititems(lambda last, one, i=i: self.collect(f"{name}[{i}]/{last}", one))
+                content.visititems(lambda end, item, i=i: self.collect(f"{name}[{i}]/{end}", item))
 
     def described(self, name: str) -> dict[str, Any]:
         """Return rate, unit and start by a data set's attributes, or else by its group."""
         own = _stated(_attributes(self.datasets[name]))
         if self.datasets[name].dtype.names is not None:
             own.pop("unit", None)  # a table has columns of several units
-        siblings = _siblings(name, "/", self.datasets)
-        small = {key: _value(one) for key, one in siblings.items() if one.nbytes <= MOST_NOTE_BYTES}
+        small = {
+            key: _value(dataset)
+            for key, dataset in _siblings(name, "/", self.datasets).items()
+            if dataset.nbytes <= MOST_NOTE_BYTES
+        }
         return _stated_nearby(name, small) | self._times(name) | own
 
     def _times(self, name: str) -> dict[str, str]:
@@ -188,7 +188,7 @@ def _as_numbers(words: Finding) -> Finding:
 
 
 def _of_shape(shape: tuple[int, ...]) -> str:
-    if is_vector(shape) or (len(shape) <= 2 and min(shape) <= MOST_PARTS):
+    if is_vector(shape) or (len(shape) <= 2 and min(shape) <= MOST_COLUMNS):
         return ""
     return Finding("is-an-array", shape=" x ".join(map(str, shape)))
 
@@ -201,8 +201,8 @@ class _View:
     dtype: Any
     take: Callable[[Any], Any]
 
-    def __getitem__(self, part: Any) -> Any:
-        return self.take(part)
+    def __getitem__(self, rows: Any) -> Any:
+        return self.take(rows)
 
 
 def _field(dataset: Any, name: str) -> _View:
@@ -211,20 +211,20 @@ def _field(dataset: Any, name: str) -> _View:
     return _View(
         (*dataset.shape, *kind.shape),
         kind.base,
-        lambda part: dataset.fields(name)[part[:n]][(slice(None), *part[n:])],
+        lambda rows: dataset.fields(name)[rows[:n]][(slice(None), *rows[n:])],
     )
 
 
 def _packed(dataset: Any, h5py: Any) -> Any:
     """Return a data set with scale, offset and missing samples as its attributes mean them."""
-    said = _attributes(dataset)
-    numbers = {key: np.array(said[key], np.float64, ndmin=1) for key in PACKING if key in said}
+    own = _attributes(dataset)
+    numbers = {key: np.array(own[key], np.float64, ndmin=1) for key in PACKING if key in own}
     missing = [numbers[name] for name in MISSING_NAMES if name in numbers]
     chosen = dataset.id.get_create_plist().fill_value_defined()
     # 0 may be a sample as well
     if chosen == h5py.h5d.FILL_VALUE_USER_DEFINED and dataset.fillvalue != 0:
         missing.append(np.array([dataset.fillvalue], dtype=np.float64))
-    is_unsigned = dataset.dtype.kind == "i" and str(said.get("_Unsigned")).lower() == "true"
+    is_unsigned = dataset.dtype.kind == "i" and str(own.get("_Unsigned")).lower() == "true"
     if not numbers and not missing and not is_unsigned:
         return dataset
 
@@ -236,30 +236,36 @@ def _packed(dataset: Any, h5py: Any) -> Any:
         with np.errstate(over="ignore"):
             return values.astype(kind).astype(np.float64)
 
+    # limits and missing values are those of stored numbers; infinite limits have no sign to change
     limits = numbers.get("valid_range", np.array([-np.inf, np.inf]))
     ends = numbers.get("valid_min", limits)[0], numbers.get("valid_max", limits)[-1]
-    # infinite limits have no sign to change
     lower, upper = (as_stored(np.array([end]))[0] if np.isfinite(end) else end for end in ends)
     left_out = np.concatenate([[np.nan], *map(as_stored, missing)])
-    factors = {"scale_factor": np.ones(1), "add_offset": np.zeros(1)} | numbers
-    scale, offset = factors["scale_factor"], factors["add_offset"]
     across = 1 - int(np.argmax(dataset.shape))  # columns lie along the shorter axis
+    scale, offset = _scale_and_offset(dataset, numbers, across)
+
+    def take(rows: Any) -> Any:
+        stored = np.asarray(dataset[rows])
+        if is_unsigned:
+            stored = stored.astype(f"u{stored.dtype.itemsize}")
+        values = stored.astype(np.float64)
+        is_valid = (values >= lower) & (values <= upper) & ~np.isin(values, left_out)
+        a, b = (each[rows[across] if len(each) > 1 else 0] for each in (scale, offset))
+        return np.where(is_valid, values * a + b, np.nan)
+
+    return _View(dataset.shape, dataset.dtype, take)
+
+
+def _scale_and_offset(dataset: Any, numbers: Mapping[str, Any], across: int) -> tuple[Any, Any]:
+    """Return scale and offset, one for all columns or one each; ValueError if they are wrong."""
+    scale = numbers.get("scale_factor", np.ones(1))
+    offset = numbers.get("add_offset", np.zeros(1))
     n_columns = 1 if is_vector(dataset.shape) else dataset.shape[across]
     for name, values in (("scale_factor", scale), ("add_offset", offset)):
         is_right = np.isfinite(values).all() and (values.all() or name == "add_offset")
         if values.shape not in ((1,), (n_columns,)) or not is_right:
             raise ValueError(f"its {name} is {values}")
-
-    def take(part: Any) -> Any:
-        stored = np.asarray(dataset[part])
-        if is_unsigned:
-            stored = stored.astype(f"u{stored.dtype.itemsize}")
-        values = stored.astype(np.float64)
-        is_valid = (values >= lower) & (values <= upper) & ~np.isin(values, left_out)
-        a, b = (one[part[across] if len(one) > 1 else 0] for one in (scale, offset))
-        return np.where(is_valid, values * a + b, np.nan)
-
-    return _View(dataset.shape, dataset.dtype, take)
+    return scale, offset
 
 
 def foreign(dataset: Any) -> str:
@@ -273,15 +279,14 @@ def foreign(dataset: Any) -> str:
     others = [number for number in filters if number not in FILTERS]
     if others:
         return _as_numbers(Finding("packed-by-filter", number=others[0]))
-    piece = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize
-    if filters and piece > MOST_CHUNK_BYTES:
-        sizes = {"n_bytes": piece, "most": MOST_CHUNK_BYTES}
-        return _as_numbers(Finding("packed-in-pieces", **sizes))
+    n_bytes = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize
+    if filters and n_bytes > MOST_CHUNK_BYTES:
+        return _as_numbers(Finding("packed-in-pieces", n_bytes=n_bytes, most=MOST_CHUNK_BYTES))
     return ""
 
 
 @contextmanager
-def open_mat(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
+def open_mat(path: Path) -> Iterator[OpenFile]:
     """Open a MAT file; before version 7.3 its variables are read whole."""
     try:
         variables, refused = _variables(path)
@@ -289,24 +294,23 @@ def open_mat(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         with open_hdf5(path) as file:
             yield file
         return
+    # variables of numbers are loaded when read; all others now, as they may hold or state something
     arrays: dict[str, Any] = {}
-    nested = []
+    loaded = []
     for name, shape, kind in variables:
+        is_number = kind in NUMERIC
         if kind in ("struct", "cell", "object"):
-            nested.append(name)
-        elif kind not in NUMERIC:
-            refused |= {name: f"holds {kind}, not numbers"} if kind != "char" else {}
-        elif why := _of_shape(shape):
+            loaded.append(name)
+        elif math.prod(shape) <= (MOST_NOTE_BYTES if kind == "char" else is_number):
+            loaded.append(name)
+        if is_number and (why := _of_shape(shape)):
             refused[name] = why
-        else:
+        elif is_number:
             arrays[name] = _Variable(path, name, shape)
+        elif kind not in ("struct", "cell", "object", "char"):
+            refused[name] = f"holds {kind}, not numbers"
+    # the contents of structs and cells are columns of their own, by their path
     how = {"appendmat": False, "struct_as_record": False, "squeeze_me": True}
-    short = [  # may state rate, unit or start of the others
-        name
-        for name, shape, kind in variables
-        if math.prod(shape) <= (MOST_NOTE_BYTES if kind == "char" else kind in NUMERIC)
-    ]
-    loaded = [*nested, *short]
     content = loadmat(path, variable_names=loaded, **how) if loaded else {}
     leaves = {
         place: leaf
@@ -322,20 +326,19 @@ def open_mat(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
             arrays[name] = array
         elif why.strip():
             refused[name] = why
+    # values next to an array state its rate, unit and start
     descriptions = {
         name: _stated_nearby(name, _siblings(name, ".", leaves)) | _simulink_time(name, leaves)
         for name in arrays
     }
-    with _opened(path, arrays, descriptions, refused) as found:
-        yield found
+    yield _opened(path, arrays, descriptions, refused)
 
 
 def _variables(path: Path) -> tuple[list[tuple[str, tuple[int, ...], str]], dict[str, str]]:
     """Return name, shape and class of the variables of a file, and why its objects are refused."""
     with suppress(TypeError):  # an object of MATLAB has no shape
-        found = [one for one in whosmat(path, appendmat=False) if not one[0].startswith("__")]
-        return found, {}
-    found, refused = [], {}
+        return [row for row in whosmat(path, appendmat=False) if not row[0].startswith("__")], {}
+    rows, refused = [], {}
     with path.open("rb") as stream:
         for name, part in varmats_from_mat(stream):
             if name == "None":
@@ -343,12 +346,12 @@ def _variables(path: Path) -> tuple[list[tuple[str, tuple[int, ...], str]], dict
                 own = record["s0"].item().decode("latin-1")
                 refused[own] = _matlab_object(record["s2"].item())
             elif not name.startswith("__"):
-                found += whosmat(part)
-    return found, refused
+                rows += whosmat(part)
+    return rows, refused
 
 
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Yield what structs and cells of MATLAB hold, by its path."""
+    """Yield the content of structs and cells of MATLAB, by its path."""
     if isinstance(value, mat_struct):
         is_signal = {"values", "dimensions"} <= set(value._fieldnames)
         for field in value._fieldnames:
@@ -363,8 +366,8 @@ def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
         and value.dtype == object
         and not isinstance(value, MatlabOpaque | MatlabFunction)
     ):
-        for i, one in enumerate(value.ravel()[:MOST_PARTS]):
-            yield from _leaves(f"{name}[{i}]", one)
+        for i, cell in enumerate(value.ravel()[:MOST_COLUMNS]):
+            yield from _leaves(f"{name}[{i}]", cell)
     else:
         yield name, value
 
@@ -390,34 +393,33 @@ class _Variable:
     def dtype(self) -> Any:
         return self.values.dtype
 
-    def __getitem__(self, part: Any) -> Any:
-        return self.values[part]
+    def __getitem__(self, rows: Any) -> Any:
+        return self.values[rows]
 
 
-@contextmanager
 def _opened(
     path: Path,
     arrays: Mapping[str, Any],
     descriptions: Mapping[str, Mapping[str, Any]],
     refused: Mapping[str, str],
-) -> Iterator[OpenFile]:
-    """Open arrays by name; a matrix has one column ``name[i]`` for each of its columns."""
+) -> OpenFile:
+    """Return arrays by name as a file; a matrix has a column ``name[i]`` for each of its own."""
     columns = [Column(name, unread=why) for name, why in refused.items()]
     takes: dict[str, tuple[int, Take]] = {}
     matrices = []
     for name, array in arrays.items():
         shape = array.shape
-        if not is_vector(shape) and not 0 < min(shape) <= MOST_PARTS:
+        if not is_vector(shape) and not 0 < min(shape) <= MOST_COLUMNS:
             continue
         is_rate = max(shape) == 1 and _plain(re.split("[./]", name)[-1]) in RATE_NAMES
         axis = int(np.argmax(shape))  # time is the longest axis
-        parts = {name: 0}
+        places = {name: 0}
         if not is_vector(shape):
-            parts = {f"{name}[{i}]": i for i in range(min(shape))}
+            places = {f"{name}[{i}]": i for i in range(min(shape))}
             first, last = (repr(f"{name}[{i}]") for i in (0, min(shape) - 1))
             matrices.append(Finding("matrix-columns", name=repr(name), first=first, last=last))
-        for place, i in parts.items():
-            columns.append(Column(place, is_part=is_rate or place != name, **descriptions[name]))
+        for place, i in places.items():
+            columns.append(Column(place, is_by_name=is_rate or place != name, **descriptions[name]))
             takes[place] = (max(shape), _take(array, axis, i))
 
     def read(names: Sequence[str]) -> Iterator[Block]:
@@ -426,15 +428,15 @@ def _opened(
         for name in names:
             kind = arrays[name if name in arrays else name.rpartition("[")[0]].dtype
             if kind.kind not in "iuf":
-                raise TripError(at(path, "column-not-real", name=repr(name), value=kind))
+                raise TripError.at(path, "column-not-real", name=repr(name), value=kind)
         return slices(path, names, takes)
 
-    yield OpenFile(tuple(columns), read, hint=together(matrices[:3]))
+    return OpenFile(tuple(columns), read, hint=together(matrices[:3]))
 
 
 def _take(array: Any, axis: int, i: int) -> Take:
     before, after = (i,) * axis, (i,) * (len(array.shape) - axis - 1)
-    return lambda part: array[(*before, part, *after)]
+    return lambda rows: array[(*before, rows, *after)]
 
 
 def _siblings(name: str, separator: str, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -446,13 +448,13 @@ def _siblings(name: str, separator: str, values: Mapping[str, Any]) -> dict[str,
 
 def _attributes(dataset: Any) -> dict[str, Any]:
     """Return the small attributes of a data set, or of a file."""
-    found: dict[str, Any] = {}
+    attributes: dict[str, Any] = {}
     for key in dataset.attrs:
         # a type without an equivalent matters where it is the scale
         with suppress(*([] if key in PACKING else [Exception])):
             if dataset.attrs.get_id(key).get_storage_size() <= MOST_NOTE_BYTES:
-                found[key] = dataset.attrs[key]
-    return found
+                attributes[key] = dataset.attrs[key]
+    return attributes
 
 
 def _value(dataset: Any) -> Any:
@@ -471,26 +473,26 @@ def _plain(key: str) -> str:
 
 def _stated_nearby(name: str, siblings: Mapping[str, Any]) -> dict[str, Any]:
     """Return what siblings state of an array; times and speeds have no unit of acceleration."""
-    found = _stated(siblings)
-    if _OTHER_KIND.fullmatch(name.lower()) and size_of("acceleration", found.get("unit")):
-        found.pop("unit")
-    return found
+    stated = _stated(siblings)
+    if _OTHER_KIND.fullmatch(name.lower()) and size_of("acceleration", stated.get("unit")):
+        stated.pop("unit")
+    return stated
 
 
 def _stated(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return rate, unit and date among named values, as arguments of `Column`."""
-    found: dict[str, Any] = {}
+    stated: dict[str, Any] = {}
     for key, value in values.items():
         plain, array = _plain(key), np.asarray(value)
         if plain in RATE_NAMES:
             if array.size == 1 and array.dtype.kind in "iuf" and 0 < array.item() < 1e9:
-                found["rate_hz"] = float(array.item())
+                stated["rate_hz"] = float(array.item())
         elif plain in (*UNIT_NAMES, *DATE_NAMES) and array.size == 1:
             text = array.item()
             text = text.decode("utf-8", "replace") if isinstance(text, bytes) else text
             if isinstance(text, str) and text.strip():
-                found["unit" if plain in UNIT_NAMES else "date"] = text.strip()
-    since = _SINCE.match(found.get("unit", ""))
+                stated["unit" if plain in UNIT_NAMES else "date"] = text.strip()
+    since = _SINCE.match(stated.get("unit", ""))
     if since and (start := read_date(since[2])):
-        found |= {"unit": since[1], "start_ns": nanoseconds(start)}
-    return found
+        stated |= {"unit": since[1], "start_ns": nanoseconds(start)}
+    return stated

@@ -67,11 +67,6 @@ class Assembler:
     does not depend on how a signal is cut into frames, or on their order as long as no frame
     arrives after more than `window` later ones.
 
-    Parameters
-    ----------
-    rate_hz : float, [Hz]
-    settings : OrderSettings, optional
-
     Attributes
     ----------
     counts : Counter
@@ -99,29 +94,26 @@ class Assembler:
     def push(self, frame: Frame) -> list[FloatArray]:
         """Return the samples that become available with a frame, in its unit; NaN in gaps.
 
-        Raises
-        ------
-        FrameError
-            If the frame has another rate.
+        Raises FrameError if the frame has another rate.
         """
         check_frame_rate(frame, self.rate_hz)
-        given: list[FloatArray] = []
+        flushed: list[FloatArray] = []
         if frame.sequence in self._held:
             self.counts["duplicate"] += 1
-            return given
+            return flushed
         if self._next is not None and frame.sequence < self._next:
             if self._ahead(frame) < -self._tolerance:
                 is_late = any(low <= frame.sequence < high for low, high in self._lost)
                 self.counts["late" if is_late else "duplicate"] += 1
-                return given
+                return flushed
             # a lower number at a later time: the logger has restarted its sequence
-            given = self.flush()
+            flushed = self.flush()
             self.counts["restart"] += 1
             self._next = None
             self._lost.clear()
         self._held[frame.sequence] = frame
         self._n_held += len(frame.samples)
-        return given + self._due()
+        return flushed + self._due()
 
     def flush(self) -> list[FloatArray]:
         """Return the samples of all frames held back; frames missing before them become gaps."""
@@ -154,7 +146,7 @@ class Assembler:
 
     def _due(self, at_once: bool = False) -> list[FloatArray]:
         """Return the samples of held frames that need not wait any more; of all if `at_once`."""
-        given: list[FloatArray] = []
+        blocks: list[FloatArray] = []
         while self._held:  # ends: each round removes a frame
             if self._next not in self._held:
                 full = len(self._held) > self.settings.window or self._n_held > MOST_HELD
@@ -168,8 +160,8 @@ class Assembler:
             frame = self._held.pop(self._next)
             self._n_held -= len(frame.samples)
             self._next += 1
-            given += self._placed(frame)
-        return given
+            blocks += self._placed(frame)
+        return blocks
 
     def _placed(self, frame: Frame) -> list[FloatArray]:
         """Return the samples of the next frame, after NaN for a gap; empty if it is rejected."""
@@ -203,7 +195,7 @@ class Assembler:
             "counts": dict(self.counts),
             "at": [self.first_ns, self._end_ns, self.n_samples, self._n_far, self._next],
             "lost": list(map(list, self._lost)),
-            "sizes": [len(one) for one in encoded],
+            "sizes": list(map(len, encoded)),
             "held": np.frombuffer(b"".join(encoded), dtype=np.uint8),
         }
 

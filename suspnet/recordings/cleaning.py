@@ -11,17 +11,7 @@ import numpy as np
 
 from suspnet.ground.findings import at, of
 from suspnet.ground.types import BoolArray, FloatArray
-from suspnet.recordings.faults import (
-    fill,
-    find_clipping,
-    find_constant,
-    find_gaps,
-    find_saturation,
-    find_spikes,
-    local_level,
-    paint,
-    runs,
-)
+from suspnet.recordings import faults as detect
 
 KINDS = (
     *("gap", "spike", "saturation", "constant", "offset", "drift", "zero", "jump", "stuck"),
@@ -78,9 +68,9 @@ class Fault:
             is_odd = self.kind == "offset" and abs(size) > ODD_MEAN_M_PER_S2
             kind = "odd-offset" if is_odd else "harmless"
             return at(self.channel, kind, kind=self.kind, m_per_s2=size)
-        given = {"kind": self.kind, "seconds": self.seconds, "first_s": self.first_s}
+        values = {"kind": self.kind, "seconds": self.seconds, "first_s": self.first_s}
         fate = "repaired" if self.repaired else "not usable"
-        return at(self.channel, "sample", n=self.n_samples, fate=fate, **given)
+        return at(self.channel, "sample", n=self.n_samples, fate=fate, **values)
 
 
 class Cleaner:
@@ -98,7 +88,7 @@ class Cleaner:
         self.segment = max(round(rate_hz * SEGMENT_S), SEGMENT_SAMPLES)
         self.n_samples, self.n_bad = 0, 0
         self.lowest, self.highest = math.inf, -math.inf
-        self._found: dict[tuple[str, bool], tuple[int, int]] = {}  # kind, repaired: count, first
+        self._counts: dict[tuple[str, bool], tuple[int, int]] = {}  # kind, repaired: count, first
         self._levels: list[FloatArray] = []
         self._sum = self._sum_of_squares = 0.0
         self._longest_constant = int(CONSTANT_S * rate_hz + 1e-9)
@@ -141,7 +131,7 @@ class Cleaner:
             "lead": self._windows.lead,
             "sums": [self.lowest, self.highest, self._sum, self._sum_of_squares],
             "counts": [self.n_samples, self.n_bad],
-            "found": [[*kind, *found] for kind, found in self._found.items()],
+            "found": [[*kind, *counts] for kind, counts in self._counts.items()],
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -151,28 +141,28 @@ class Cleaner:
         self._levels = [state["levels"]]
         self.lowest, self.highest, self._sum, self._sum_of_squares = state["sums"]
         self.n_samples, self.n_bad = state["counts"]
-        self._found = {(kind, fixed): (n, first) for kind, fixed, n, first in state["found"]}
+        self._counts = {(kind, fixed): (n, first) for kind, fixed, n, first in state["found"]}
 
     def _check(
         self, window: FloatArray
     ) -> tuple[FloatArray, BoolArray, dict[tuple[str, bool], BoolArray], FloatArray]:
         """Return filled values, bad samples, masks by (kind, repaired), levels of the segments."""
-        gap = find_gaps(window)
-        filled = fill(window, gap)
-        centre, spread = local_level(filled, self.segment)
+        gap = detect.find_gaps(window)
+        filled = detect.fill(window, gap)
+        centre, spread = detect.local_level(filled, self.segment)
         # motion may start within a segment: use the widest spread of it and its neighbours
         padded = np.pad(spread, 1, mode="edge")
         widest = np.maximum(np.maximum(padded[:-2], spread), padded[2:])
         reach = SPIKE_DEVIATIONS * widest
-        spike = find_spikes(filled, self.segment, centre, reach, SPIKE_SAMPLES)
-        constant = find_constant(window, self._longest_constant)
+        spike = detect.find_spikes(filled, self.segment, centre, reach, SPIKE_SAMPLES)
+        constant = detect.find_constant(window, self._longest_constant)
         # without a range, only clipping shows saturation; gaps and dead sensors look alike there
         if self.range_m_per_s2 is None:
-            saturation = find_clipping(filled, SATURATION_SAMPLES) & ~(gap | constant)
+            saturation = detect.find_clipping(filled, SATURATION_SAMPLES) & ~(gap | constant)
         else:
             threshold = SATURATION_FRACTION * self.range_m_per_s2
-            saturation = find_saturation(filled, threshold) & ~gap
-        short = paint(len(gap), *runs(gap, at_most=GAP_SAMPLES))
+            saturation = detect.find_saturation(filled, threshold) & ~gap
+        short = detect.paint(len(gap), *detect.runs(gap, at_most=GAP_SAMPLES))
         bad = (gap & ~short) | saturation | constant
         masks = {
             ("gap", True): short,
@@ -181,15 +171,13 @@ class Cleaner:
             ("saturation", False): saturation,
             ("constant", False): constant,
         }
-        return fill(filled, bad | spike), bad, masks, centre
+        return detect.fill(filled, bad | spike), bad, masks, centre
 
     def _count(self, kind: str, repaired: bool, mask: BoolArray) -> None:
-        count = int(np.count_nonzero(mask))
-        if count:
-            before, first = self._found.get(
-                (kind, repaired), (0, self.n_samples + int(mask.argmax()))
-            )
-            self._found[kind, repaired] = (before + count, first)
+        if count := int(np.count_nonzero(mask)):
+            first_here = self.n_samples + int(mask.argmax())
+            before, first = self._counts.get((kind, repaired), (0, first_here))
+            self._counts[kind, repaired] = (before + count, first)
 
     def _add(self, values: FloatArray, bad: BoolArray) -> None:
         n_bad = int(np.count_nonzero(bad))
@@ -210,21 +198,17 @@ class Cleaner:
 
     def faults(self, start_s: float = 0.0) -> tuple[Fault, ...]:
         """Return the faults so far, sorted by ``KINDS``; the first sample is at `start_s`."""
-        found = [
+        faults = [
             Fault(self.channel, kind, n, n / self.rate_hz, start_s + first / self.rate_hz, repaired)
-            for (kind, repaired), (n, first) in self._found.items()
+            for (kind, repaired), (n, first) in self._counts.items()
         ]
-        n_good = self.n_samples - self.n_bad
-        if n_good:
-            mean = self.mean
-            rms = math.sqrt(max(self._sum_of_squares / n_good - mean * mean, 0.0))
-            seconds = self.n_samples / self.rate_hz
-            for kind, size in (("offset", mean), ("drift", self._drift())):
+        if n_good := self.n_samples - self.n_bad:
+            rms = math.sqrt(max(self._sum_of_squares / n_good - self.mean * self.mean, 0.0))
+            whole = self.n_samples, self.n_samples / self.rate_hz, start_s, True
+            for kind, size in (("offset", self.mean), ("drift", self._drift())):
                 if abs(size) > DRIFT_FRACTION * rms:
-                    found.append(
-                        Fault(self.channel, kind, self.n_samples, seconds, start_s, True, size)
-                    )
-        return tuple(sorted(found, key=lambda f: (KINDS.index(f.kind), not f.repaired)))
+                    faults.append(Fault(self.channel, kind, *whole, size))
+        return tuple(sorted(faults, key=lambda f: (KINDS.index(f.kind), not f.repaired)))
 
     def _drift(self) -> float:
         """Return the median level of the last tenth minus that of the first, [m/s2]."""

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
 from scipy.signal import get_window
 
-from suspnet.ground.findings import Finding, at, together
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.types import BoolArray, ComplexArray, FloatArray, IntArray
 from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.errors import TripError
@@ -49,7 +49,7 @@ MEMORY = 0.2
 """Weight of the newest window in the reference cross-spectrum that tracks a drifting clock."""
 SIGNIFICANT = 6.0
 """Least size of a drift or jump that is reported, in standard deviations."""
-TOLD_S, REFUSED_S = 0.003, 0.02
+REPORTED_S, REFUSED_S = 0.003, 0.02
 """Changes of the delay along the trip from which a drift or jump is reported, and above which the
 trip is refused, [s]: above the second, errors of estimates grow by 2 % or more."""
 
@@ -82,27 +82,26 @@ def clock_faults(
     Raises TripError if two sensors drift by more than ``REFUSED_S``.
     """
     faults = []
-    for first, second in _compared(values):
+    for first, second in compared_pairs(values):
         drift = find_drift(values[first], values[second], usable, speed_m_per_s, rate_hz)
         if drift is None:
             continue
         words, size_s = _words(manifest, first, second, drift)
         if size_s > REFUSED_S:
-            raise TripError(at(manifest.path, "channel-clock", name=repr(second), words=words))
-        if size_s >= TOLD_S:
-            faults.append(
-                Fault(second, "clock", len(usable), drift.seconds, 0.0, False, None, words)
-            )
+            raise TripError.at(manifest.path, "channel-clock", name=repr(second), words=words)
+        if size_s >= REPORTED_S:
+            fault = Fault(second, "clock", len(usable), drift.seconds, 0.0, False, None, words)
+            faults.append(fault)
     return tuple(faults)
 
 
-def _compared(names: Iterable[str]) -> list[tuple[str, str]]:
+def compared_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
     """Return the pairs of sensors to compare.
 
     They are neighbouring channels, both sides of each, and those of the other axle with the first.
     """
-    every = [[name for name in names if channel_of(name) == channel] for channel in CHANNELS]
-    sides = [own for own in every if own]
+    by_channel = [[name for name in names if channel_of(name) == channel] for channel in CHANNELS]
+    sides = [own for own in by_channel if own]
     elsewhere = [(sides[0][0], name) for name in names if sides and not channel_of(name)]
     pairs = [(own[0], own[1]) for own in sides if len(own) == 2]
     return [*pairwise(own[0] for own in sides), *pairs, *elsewhere]
@@ -114,7 +113,7 @@ def _words(manifest: TripManifest, first: str, second: str, drift: Drift) -> tup
         return "", 0.0
     if math.isinf(drift.size):
         words = Finding("clock-seems-to-jump", first=first, jump_at_s=drift.jump_at_s)
-        return words, TOLD_S
+        return words, REPORTED_S
     if drift.is_jump:
         ms, jump_at_s = 1e3 * drift.size, drift.jump_at_s
         return Finding("clock-jumps", ms=ms, first=first, jump_at_s=jump_at_s), abs(drift.size)
@@ -164,6 +163,7 @@ def find_drift(
             place = among[-1] if after >= before else among[0] - 1
             lost_s = float(begins_s[alike][place]) + WINDOW_S
             return Drift(True, math.inf, 0.0, lost_s, WINDOW_S * len(clear))
+    # otherwise the delays of the clear windows show a drift or a jump
     middles_s = np.asarray(begins_s[clear] + WINDOW_S / 2, dtype=np.float64)
     return _fitted(middles_s, delays_s[clear], classes[clear])
 
@@ -204,12 +204,14 @@ def _delays(spectra: ComplexArray, size: int, rate_hz: float) -> tuple[FloatArra
     """
     n_fft = 2 * size
     omega = (2 * np.pi * rfftfreq(n_fft, 1 / rate_hz))[_band(n_fft, rate_hz)]
+    # track in order: a mean over the trip would be blurred by a drift
     common = spectra[0]
     delays = np.zeros(len(spectra))
     for k in range(1, len(spectra)):
         delays[k] = _peak(spectra[k : k + 1] * common.conj(), omega, n_fft, rate_hz)[0]
         aligned = spectra[k] * np.exp(1j * omega * delays[k])
         common = (1 - MEMORY) * common + MEMORY * aligned
+    # then the mean of all aligned windows is the less noisy reference
     for _ in range(2):
         aligned = spectra * np.exp(1j * omega * delays[:, None])
         common = aligned.mean(axis=0)
@@ -243,6 +245,7 @@ def _fitted(middles_s: FloatArray, delays_s: FloatArray, classes: IntArray) -> D
     Delays depend on the speed, so each speed class has its own mean.
     """
     kept = classes >= 0
+    # fit anew without the windows that lie far off the fit before
     for _ in range(1 + TRIMS):
         at = np.flatnonzero(kept)
         if len(at) < LEAST_WINDOWS:
@@ -258,14 +261,16 @@ def _fitted(middles_s: FloatArray, delays_s: FloatArray, classes: IntArray) -> D
         target, regressors = regressors[:, -1], regressors[:, :-1]
         # fit each regressor alone; compare the drift with the best jump
         power = np.einsum("ij,ij->j", regressors, regressors)
-        known = power > 1e-6 * len(at)
-        slopes = np.divide(regressors.T @ target, power, out=np.zeros(len(power)), where=known)
+        is_determined = power > 1e-6 * len(at)
+        slopes = np.divide(
+            regressors.T @ target, power, out=np.zeros(len(power)), where=is_determined
+        )
         explained = slopes**2 * power
         best = 1 + int(np.argmax(explained[1:]))
         left = np.maximum(target @ target - explained[[0, best]], 0.0)
         is_jump = bool(left[1] < JUMP_SHARE * left[0])
         chosen = best if is_jump else 0
-        if not known[chosen]:
+        if not is_determined[chosen]:
             return None
         residuals = target - slopes[chosen] * regressors[:, chosen]
         spread = max(1.4826 * float(np.median(np.abs(residuals))), FINEST_S)

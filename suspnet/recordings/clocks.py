@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from suspnet.ground.findings import Finding, at, together
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.recordings.columns import Column, size_of
 from suspnet.recordings.dates import (
@@ -29,7 +29,7 @@ from suspnet.recordings.dates import (
 )
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import TripManifest
-from suspnet.recordings.manifest_sources import TIME_UNITS, Source
+from suspnet.recordings.manifest_sources import TIME_UNITS, FileSource
 from suspnet.recordings.stamps import NO_DATE
 
 DATED_S = (3.15e8, 4.1e9)
@@ -67,8 +67,8 @@ class Zero:
         """Start of the times; without a zone if that is unknown."""
         if self.ns is None:
             return self.date
-        found = EPOCH + timedelta(seconds=self.ns // SECOND_NS)
-        return found if self.is_zoned else found.replace(tzinfo=None)
+        start = EPOCH + timedelta(seconds=self.ns // SECOND_NS)
+        return start if self.is_zoned else start.replace(tzinfo=None)
 
 
 class Times:
@@ -80,7 +80,9 @@ class Times:
     `n_untimed` counts the values without a time, which are left out.
     """
 
-    def __init__(self, where: str, source: Source, column: Column, start_ns: int | None) -> None:
+    def __init__(
+        self, where: str, source: FileSource, column: Column, start_ns: int | None
+    ) -> None:
         self.where, self.source, self.column = where, source, column
         start_ns = column.start_ns if start_ns is None else start_ns
         self.zero = Zero(start_ns, not column.is_local, is_stated=start_ns is not None)
@@ -99,10 +101,10 @@ class Times:
     @property
     def words(self) -> list[str]:
         """What was repaired in the times so far."""
-        found: list[str] = [Finding("times-jump", why=why, n=n) for why, n in self._repairs.items()]
+        words: list[str] = [Finding("times-jump", why=why, n=n) for why, n in self._repairs.items()]
         if self.n_untimed:
-            found.append(Finding("rows-without-time", n_untimed=self.n_untimed))
-        return found
+            words.append(Finding("rows-without-time", n_untimed=self.n_untimed))
+        return words
 
     def seconds(self, times: NDArray[np.generic]) -> FloatArray:
         """Return times in seconds since `zero`, NaN where missing.
@@ -124,11 +126,11 @@ class Times:
 
     def _continued(self, raw: NDArray[Any], missing: BoolArray, is_stamp: bool) -> NDArray[Any]:
         """Return times without the jumps of a counter, a day or a change of clocks."""
-        known = raw[~missing] if missing.any() else raw
-        if not len(known):
+        present = raw[~missing] if missing.any() else raw
+        if not len(present):
             return raw
-        steps = np.diff(known, prepend=known[0] if self._last is None else self._last)
-        self._last = known[-1]
+        steps = np.diff(present, prepend=present[0] if self._last is None else self._last)
+        self._last = present[-1]
         if self._usual is None:
             self._usual = float(np.median(steps[1:])) if len(steps) > LEAST_STEPS else 0.0
         hour = 3600 * SECOND_NS if is_stamp else np.inf
@@ -136,11 +138,11 @@ class Times:
         if self._usual <= 0 or not len(jumps):
             return raw + self._shift if self._shift else raw
         # a jump is repaired if it is a known one and leaves a step like the others
-        shifts = np.zeros(len(known), dtype=known.dtype)
+        shifts = np.zeros(len(present), dtype=present.dtype)
         for reason, period in self._periods(is_stamp):
             off = np.abs(steps[jumps] + period - self._usual)
             if abs(period) == hour:
-                off = np.maximum(off, known[jumps] % hour)
+                off = np.maximum(off, present[jumps] % hour)
             is_it = (off < 1.5 * self._usual) & (shifts[jumps] == 0)
             if is_it.any():
                 shifts[jumps[is_it]] = period
@@ -155,7 +157,7 @@ class Times:
         """Return what times may jump by: as text, and in their unit."""
         if not is_stamp:
             counters = {f"2^{bits}": 2.0**bits for bits in (16, 24, 31, 32)}
-            counters |= {f"2^32 {one}": 2.0**32 * s / self._size for one, s in TIME_UNITS.items()}
+            counters |= {f"2^32 {unit}": 2.0**32 * s / self._size for unit, s in TIME_UNITS.items()}
             return [*counters.items(), ("a day", 86400 / self._size)]
         hour = 3600 * SECOND_NS
         if self.zero.is_midnight:  # stamps of minutes and seconds start again every hour
@@ -165,21 +167,21 @@ class Times:
 
     def _begin_stamps(self, times: NDArray[np.generic]) -> None:
         """Set the zero of time stamps to the whole second of the first one."""
-        known = times[~np.isnat(times)].astype("datetime64[s]")
-        if not len(known):
-            raise TripError(at(self.where, "times-empty"))
-        first = int(known[0].astype(np.int64)) * SECOND_NS
+        seconds = times[~np.isnat(times)].astype("datetime64[s]")
+        if not len(seconds):
+            raise TripError.at(self.where, "times-empty")
+        first = int(seconds[0].astype(np.int64)) * SECOND_NS
         self._first = first
         zone = self.source.time_zone
-        if known[0].astype("datetime64[D]") == NO_DATE:
+        if seconds[0].astype("datetime64[D]") == NO_DATE:
             if zone is not None:
-                raise TripError(at(self.where, "no-date-for-zone"))
+                raise TripError.at(self.where, "no-date-for-zone")
             self._first = int(NO_DATE.astype("datetime64[ns]").astype(np.int64))
             self.zero = Zero(is_midnight=True)
         elif zone is None:
             self.zero = Zero(first, self.column.is_zoned)
         elif self.column.is_zoned:
-            raise TripError(at(self.where, "zone-named-twice"))
+            raise TripError.at(self.where, "zone-named-twice")
         else:
             self.zero = Zero(first - self._offset_ns(first, zone))
 
@@ -188,36 +190,28 @@ class Times:
         early, late = (ahead_ns(first, time_zone(zone), fold) for fold in (0, 1))
         if early != late:
             naive = (EPOCH + timedelta(seconds=first // SECOND_NS)).replace(tzinfo=None)
-            raise TripError(at(self.where, "ambiguous-time", naive=naive, zone=zone))
+            raise TripError.at(self.where, "ambiguous-time", naive=naive, zone=zone)
         return early
 
     def _begin_numbers(self, times: NDArray[np.generic]) -> None:
         """Set unit and zero of numbers; a unit that makes the first one a date is assumed."""
         numbers = times.astype(np.float64)
-        known = numbers[np.isfinite(numbers)]
-        first = float(known[0]) if len(known) else 0.0
-        stated, found = self.source.time_unit, size_of("time", self.column.unit)
-        if stated is not None and found is not None and found != TIME_UNITS[stated]:
-            raise TripError(
-                at(
-                    self.where,
-                    "time-unit-differs",
-                    stated=repr(stated),
-                    unit=repr(self.column.unit),
-                )
+        finite = numbers[np.isfinite(numbers)]
+        first = float(finite[0]) if len(finite) else 0.0
+        # the unit by the manifest or the file, which must not contradict each other
+        stated, unit = self.source.time_unit, self.column.unit
+        written = size_of("time", unit)
+        if stated is not None and written is not None and written != TIME_UNITS[stated]:
+            raise TripError.at(
+                self.where, "time-unit-differs", stated=repr(stated), unit=repr(unit)
             )
-        if stated is None and found is None and self.column.unit:
-            raise TripError(
-                at(
-                    self.where,
-                    "time-unit-unknown",
-                    unit=repr(self.column.unit),
-                    time_units=list(TIME_UNITS),
-                )
-            )
-        size = found if stated is None else TIME_UNITS[stated]
+        if stated is None and written is None and unit:
+            units = {"unit": repr(unit), "time_units": list(TIME_UNITS)}
+            raise TripError.at(self.where, "time-unit-unknown", **units)
+        size = written if stated is None else TIME_UNITS[stated]
         sizes = TIME_UNITS.values() if size is None else [size]
-        step = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
+        step = float(np.median(np.diff(finite))) if len(finite) > 1 else 0.0
+        # numbers that make the first one a date are counted from 1970
         low, high = DATED_S
         dated = [s for s in sizes if low <= first * s <= high and step * s < LONGEST_STEP_S]
         self._size = dated[0] if dated else (size or 1.0)
@@ -230,7 +224,7 @@ class Times:
             self.zero = Zero(whole_s * SECOND_NS)
         if self.source.time_zone is not None:
             if self.zero.ns is None or self.zero.is_zoned:
-                raise TripError(at(self.where, "zone-for-numbers"))
+                raise TripError.at(self.where, "zone-for-numbers")
             ahead = self._offset_ns(self.zero.ns, self.source.time_zone)
             self.zero = replace(self.zero, ns=self.zero.ns - ahead, is_zoned=True)
 
@@ -243,8 +237,9 @@ def likely_time_unit(rate_hz: float) -> str:
     >>> likely_time_unit(0.0002), likely_time_unit(200.0)
     ('us', '')
     """
-    units = [one for one, size in TIME_UNITS.items() if USUAL_HZ[0] <= rate_hz / size < USUAL_HZ[1]]
-    return units[0] if units and rate_hz < USUAL_HZ[0] else ""
+    low, high = USUAL_HZ
+    units = [unit for unit, size in TIME_UNITS.items() if low <= rate_hz / size < high]
+    return units[0] if units and rate_hz < low else ""
 
 
 def header_date(column: Column) -> datetime | None:
@@ -258,7 +253,7 @@ def first_moment(zeros: Iterable[Zero]) -> tuple[datetime | None, str]:
     Exact times take precedence over header dates, and times with a zone over others. The start is
     None if no source is dated or the date is implausible.
     """
-    dated = [(zero.ns is None, one.tzinfo is None, one) for zero in zeros if (one := zero.moment)]
+    dated = [(zero.ns is None, at.tzinfo is None, at) for zero in zeros if (at := zero.moment)]
     if not dated:
         return None, ""
     *_, first = min(dated)
@@ -274,6 +269,7 @@ def offsets_s(manifest: TripManifest, zeros: Mapping[str, Zero]) -> dict[str, fl
     and the clock start at the manifest's `start`; or with the other files, if the headers of those
     state one common start. Raises TripError if `start` or a time zone is missing.
     """
+    # sources without dates start together, as do files that state one common start
     starts = {name: zero.ns for name, zero in zeros.items() if zero.ns is not None}
     others = [name for name in zeros if name not in starts]
     if not starts:
@@ -285,23 +281,18 @@ def offsets_s(manifest: TripManifest, zeros: Mapping[str, Zero]) -> dict[str, fl
     if others:
         start = manifest.start
         if start is None:
-            raise TripError(
-                at(
-                    manifest.path,
-                    "start-missing",
-                    starts=together(starts, ", "),
-                    others=together(others, ", "),
-                    others2=together(others, ", "),
-                )
-            )
+            missing = together(others, ", ")
+            names = {"starts": together(starts, ", "), "others": missing, "others2": missing}
+            raise TripError.at(manifest.path, "start-missing", **names)
         first, is_zoned = nanoseconds(start), start.tzinfo is not None
         # times of day count from the midnight before it
         midnight = start.replace(hour=0, minute=0, second=0, microsecond=0)
         midnight_s = (midnight - start).total_seconds()
+    # clocks in unknown time zones can be aligned with each other only
     local = [name for name in starts if not zeros[name].is_zoned]
     if local and (len(local) < len(starts) or is_zoned):
-        raise TripError(at(manifest.path, "times-without-zone", local=together(local, ", ")))
+        raise TripError.at(manifest.path, "times-without-zone", local=together(local, ", "))
     if not local and is_zoned is False:
-        raise TripError(at(manifest.path, "start-without-zone", starts=together(starts, ", ")))
+        raise TripError.at(manifest.path, "start-without-zone", starts=together(starts, ", "))
     undated = {name: midnight_s if zeros[name].is_midnight else 0.0 for name in others}
     return undated | {name: (ns - first) / SECOND_NS for name, ns in starts.items()}

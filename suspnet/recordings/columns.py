@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
@@ -12,10 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from suspnet.ground.findings import Finding, at, of
+from suspnet.ground.findings import Finding
 from suspnet.ground.storage import open_plain, stored_bytes
 from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest_keys import CsvDialect
 from suspnet.recordings.manifest_sources import ACCELERATION_UNITS, SPEED_UNITS, UNITS
 
 MOST_DRIFT = 2e-4
@@ -28,13 +28,13 @@ LISTED = 20
 Block = tuple[NDArray[Any], ...]
 """One array (n_samples,) for each column: float64, or datetime64[ns] for time stamps."""
 Take = Callable[[slice], Any]
-SHARED_BYTES = 8 * 8 * BLOCK
-"""Size of the memory shared by a reader process and its client [bytes]: blocks of eight columns."""
+MOST_BLOCK_BYTES = 8 * 8 * BLOCK
+"""Largest size of a block that a reader process sends: eight columns [bytes]."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """One column of a file, as the file describes it; None where it says nothing.
+    """One column of a file, as the file describes it; None where it states nothing.
 
     Attributes
     ----------
@@ -47,8 +47,8 @@ class Column:
         logger's unknown time zone if `is_local`.
     is_time, is_zoned : bool
         It holds time stamps rather than numbers; they are in UTC rather than an unknown zone.
-    is_part : bool
-        It is one column of a matrix, or a stated rate, and is read only by its name.
+    is_by_name : bool
+        It is read only by its name, as a column of a matrix, or a stated rate.
     is_whole_rate : bool
         The format stores the rate as a whole number.
     full_scale : float or None
@@ -66,7 +66,7 @@ class Column:
     start_ns: int | None = None
     is_time: bool = False
     is_zoned: bool = False
-    is_part: bool = False
+    is_by_name: bool = False
     is_whole_rate: bool = False
     full_scale: float | None = None
     date: str | None = None
@@ -95,7 +95,7 @@ class OpenFile:
         return next(column for column in self.columns if column.name == name)
 
 
-Reader = Callable[[Path, CsvDialect | None], AbstractContextManager[OpenFile]]
+Reader = Callable[[Path], AbstractContextManager[OpenFile]]
 """Function that opens a file of one format."""
 
 
@@ -104,71 +104,59 @@ def choose(path: Path, file: OpenFile, columns: Sequence[str | None]) -> list[st
 
     Raises TripError if a column is missing or its name not unique, or if None is ambiguous.
     """
-    present = [column.name for column in file.columns]
-    listed = [column.name for column in file.columns if not (column.is_part or column.unread)]
+    present = Counter(column.name for column in file.columns)
     named = [name for name in columns if name is not None]
     for name in named:
         if name not in present:
-            raise TripError(
-                Finding(
-                    "no-column-but-matrix" if file.hint else "no-column",
-                    path=path,
-                    name=repr(name),
-                    names=listing(listed),
-                    matrix=file.hint,
-                )
-            )
-        if words := file.column(name).unread:
-            raise TripError(Finding("column-unread", path=path, name=repr(name), unread=words))
+            listed = [c.name for c in file.columns if not (c.is_by_name or c.unread)]
+            kind = "no-column-but-matrix" if file.hint else "no-column"
+            values = {"name": repr(name), "names": listing(listed), "matrix": file.hint}
+            raise TripError(Finding(kind, path=path, **values))
+        if reason := file.column(name).unread:
+            raise TripError(Finding("column-unread", path=path, name=repr(name), unread=reason))
+    # the column of times of another one is never the only one left
     times = {column.time for column in file.columns} | set(named)
     others = [
-        c.name for c in file.columns if not (c.is_part or c.is_time or c.unread or c.name in times)
+        c.name
+        for c in file.columns
+        if not (c.is_by_name or c.is_time or c.unread or c.name in times)
     ]
     if len(named) < len(columns) and len(others) != 1:
-        raise TripError(at(path, "say-which-column", names=listing(others)))
+        raise TripError.at(path, "say-which-column", names=listing(others))
     names = [others[0] if name is None else name for name in columns]
     for name in names:
-        if present.count(name) > 1:
-            raise TripError(
-                Finding(
-                    "columns-of-same-name", path=path, count=present.count(name), name=repr(name)
-                )
-            )
+        if (n := present[name]) > 1:
+            raise TripError(Finding("columns-of-same-name", path=path, count=n, name=repr(name)))
     return names
 
 
 def listing(names: Sequence[str]) -> str:
     """Return at most ``LISTED`` names as text for a message."""
-    shown, n_more = list(names[:LISTED]), len(names) - LISTED
-    return Finding("names-and-more", names=shown, n=n_more) if n_more > 0 else str(shown)
+    n_more = len(names) - LISTED
+    if n_more > 0:
+        return Finding("names-and-more", names=list(names[:LISTED]), n=n_more)
+    return str(list(names))
 
 
 def slices(
     path: Path, names: Sequence[str], takes: Mapping[str, tuple[int, Take]]
 ) -> Iterator[Block]:
-    """Yield blocks of arrays, of which `takes` gives the lengths and how to take a part of them.
+    """Yield blocks of arrays, of which `takes` gives the lengths and how to take rows of them.
 
     TripError is raised if the lengths differ or are too large.
     """
     lengths = [takes[name][0] for name in names]
     check_samples(path, max(lengths, default=0))
     if len(set(lengths)) > 1:
-        words = Finding("different-lengths", names=list(names), lengths=lengths)
-        raise TripError(of(path, words))
-    for start in range(0, lengths[0], BLOCK):
-        part = slice(start, min(start + BLOCK, lengths[0]))
-        block = tuple(as_block(takes[name][1](part)) for name in names)
-        found = [start + len(values) for values in block]
-        if set(found) != {part.stop}:
-            raise TripError(
-                Finding(
-                    "fewer-than-declared",
-                    path=path,
-                    n_samples=lengths[0],
-                    names=list(names),
-                    held=found,
-                )
-            )
+        raise TripError.at(path, "different-lengths", names=list(names), lengths=lengths)
+    n = lengths[0]
+    for start in range(0, n, BLOCK):
+        rows = slice(start, min(start + BLOCK, n))
+        block = tuple(as_block(takes[name][1](rows)) for name in names)
+        held = [start + len(values) for values in block]
+        if set(held) != {rows.stop}:
+            values = {"n_samples": n, "names": list(names), "held": held}
+            raise TripError(Finding("fewer-than-declared", path=path, **values))
         yield block
 
 
@@ -281,13 +269,12 @@ def agreed_size(where: str, kind: str, stated: str | None, written: str | None) 
 
     Raises TripError if they contradict each other, or neither gives a known unit.
     """
-    found = size_of(kind, written)
-    known = UNITS[kind]
+    size, sizes = size_of(kind, written), UNITS[kind]
     if stated is None:
-        if found is None:
-            kind = "unit-unknown" if written else "unit-not-said"
-            raise TripError(at(where, kind, written=repr(written), known=list(known)))
-        return found
-    if found is not None and abs(found / known[stated] - 1) > 1e-9:
-        raise TripError(at(where, "unit-differs", stated=repr(stated), written=repr(written)))
-    return known[stated]
+        if size is None:
+            problem = "unit-unknown" if written else "unit-not-said"
+            raise TripError.at(where, problem, written=repr(written), known=list(sizes))
+        return size
+    if size is not None and abs(size / sizes[stated] - 1) > 1e-9:
+        raise TripError.at(where, "unit-differs", stated=repr(stated), written=repr(written))
+    return sizes[stated]

@@ -165,12 +165,12 @@ class _Builder:
                 value = str(getattr(content_event, "value", value))
             if key == "<<" and event.implicit[0]:
                 merged += value if isinstance(value, list) else [value]
-                if not all(isinstance(one, dict) for one in merged):
+                if not all(isinstance(mapping, dict) for mapping in merged):
                     raise ValueError(f"line {line}: `<<` must be followed by mappings")
             else:
                 content[key] = value
-        for one in merged:  # the mapping's own keys and earlier merges take precedence
-            content = one | content
+        for mapping in merged:  # the mapping's own keys and earlier merges take precedence
+            content = mapping | content
         return content
 
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
-from suspnet.ground.findings import Finding, at
+from suspnet.ground.findings import Finding
 from suspnet.recordings.columns import is_unit, unit_in_name
 from suspnet.recordings.dates import date_in_lines, read_date
 from suspnet.recordings.errors import TripError
@@ -50,7 +50,6 @@ _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(,\d{3})+")
 _POINTED = re.compile(r"[-+]?(?:0|[1-9]\d{0,2}(?:\.\d{3})*)")
 GROUPED = re.compile(r"[-+]?\d{1,3}(?:[.,'\s\u2019]\d{3})+(?:[.,]\d*)?")
 """Numbers whose digits may be grouped, which are read where they are numbers without that."""
-UNGROUP = "write numbers without separators of thousands"
 TIME_NAME = re.compile(
     r"(?<![^\W_])(?:t(?![^\W\d_])|time|date|clock|zeit|datum|uhrzeit|utc)", re.IGNORECASE
 )
@@ -69,7 +68,7 @@ Kind = Notation | str | None
 
 
 @dataclass(frozen=True)
-class Found:
+class Dialect:
     """How one file is written.
 
     `delimiter` is "" for a single column, and " " for any number of spaces and tabs. Lines are
@@ -91,35 +90,27 @@ class Found:
     above: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        header = (
-            Finding("names-in-line", header_line=self.header_line)
-            if self.header_line
-            else "no names"
-        )
-        bom = " with byte-order mark" if self.has_bom else ""
-        delimiter = _WORDS.get(self.delimiter, repr(self.delimiter))
+        line = self.header_line
         return Finding(
             "csv-dialect",
-            delimiter=delimiter,
+            delimiter=_WORDS.get(self.delimiter, repr(self.delimiter)),
             decimal=repr(self.decimal),
-            header=header,
+            header=Finding("names-in-line", header_line=line) if line else "no names",
             first_line=self.first_line,
             encoding=self.encoding,
-            bom=bom,
+            bom=" with byte-order mark" if self.has_bom else "",
         )
 
     @property
     def unclear(self) -> tuple[str, ...]:
         """Remarks on columns whose texts look like times, but are not read, or not whole."""
-        found = []
+        remarks = []
         for name, kind in zip(self.names, self.kinds, strict=True):
-            if isinstance(kind, str) and (
-                TIME_NAME.search(name) or len(re.findall(r"\d+", kind)) > 2
-            ):
-                found.append(Finding("times-unreadable", name=repr(name), value=repr(kind[:40])))
-            elif isinstance(kind, Notation) and kind.is_unclear:
-                found.append(Finding("dates-left-out", name=repr(name)))
-        return tuple(found)
+            if isinstance(kind, Notation):
+                remarks += [Finding("dates-left-out", name=repr(name))] if kind.is_unclear else []
+            elif kind and (TIME_NAME.search(name) or len(re.findall(r"\d+", kind)) > 2):
+                remarks.append(Finding("times-unreadable", name=repr(name), value=repr(kind[:40])))
+        return tuple(remarks)
 
 
 @dataclass(frozen=True)
@@ -175,51 +166,55 @@ class _Candidate:
         return any(NUMBER[self.decimal].fullmatch(cell) for cell in own)
 
 
-def find_dialect(path: Path, given: CsvDialect | None = None) -> Found:
+def find_dialect(path: Path, stated: CsvDialect | None = None) -> Dialect:
     """Return how a CSV file is written.
 
     Raises TripError, with what to give in the manifest, if there is no table of numbers or more
     than one way to read it.
     """
-    given = CsvDialect() if given is None else given
-    encoding, has_bom, lines = _first_lines(path, given)
+    stated = CsvDialect() if stated is None else stated
+    encoding, has_bom, lines = _first_lines(path, stated)
     # Recognise rows at the end of the sample, which holds no header.
-    filled = [line for line in lines[given.header_line or 0 :] if line.strip()]
+    filled = [line for line in lines[stated.header_line or 0 :] if line.strip()]
     tail = filled[-max(min(TAIL_LINES, len(filled) // 2), 1) :]
-    candidates = _candidates(tail, given)
+    candidates = _candidates(tail, stated)
     if not candidates:
         raise _unreadable(path, "no row of numbers was found: it is empty, cut off or no table")
     # Choose the preferred one of the candidates that have a table in the whole sample.
-    whole = [(found, one) for one in candidates if (found := _table(lines, one, given))]
-    if not whole:
+    tables = [(table, way) for way in candidates if (table := _table(lines, way, stated))]
+    if not tables:
         raise _unreadable(path, "no row has as many values as there are names")
-    best, candidate = max(whole, key=lambda pair: _preference(*pair))
+    # prefer names, more columns, and a decimal point
+    best, candidate = max(
+        tables,
+        key=lambda pair: (pair[0].header_line > 0, len(pair[1].read), pair[0].decimal == "."),
+    )
     # Refuse a file that can be read in two ways rather than guess.
     rivals = [
         other
-        for other, _ in whole
+        for other, _ in tables
         if other.header_line == best.header_line == 0 and len(other.names) != len(best.names)
     ]
-    if rivals and given.header_line is None and given.delimiter is None:
+    if rivals and stated.header_line is None and stated.delimiter is None:
         raise _unreadable(path, Finding("no-names-ambiguous", one=str(best), other=str(rivals[0])))
-    if candidate.thousands and given.decimal is None:
+    if candidate.thousands and stated.decimal is None:
         raise _unreadable(path, "a comma may be its decimal sign or separate thousands")
-    if given.decimal is None and _may_group(lines[best.first_line - 1 :], best):
+    if stated.decimal is None and _may_group(lines[best.first_line - 1 :], best):
         raise _unreadable(path, "a point may be its decimal sign or separate thousands")
     above = lines[: (best.header_line or best.first_line) - 1]
     date = date_in_lines(above) or _date_in_row(lines[best.first_line - 1], candidate)
     return replace(best, encoding=encoding, has_bom=has_bom, date=date, above=tuple(above))
 
 
-def _may_group(lines: Sequence[str], found: Found) -> bool:
+def _may_group(lines: Sequence[str], table: Dialect) -> bool:
     """Return whether all points may separate thousands, and a column has numbers without one."""
-    if found.decimal != "." or found.delimiter == ",":
+    if table.decimal != "." or table.delimiter == ",":
         return False
-    rows = [split(line, found.delimiter) for line in lines]
-    rows = [cells for cells in rows if len(cells) == len(found.kinds)]
+    rows = [split(line, table.delimiter) for line in lines]
+    rows = [cells for cells in rows if len(cells) == len(table.kinds)]
     columns = [
         [cell for cell in cells if NUMBER["."].fullmatch(cell)]
-        for cells, kind in zip(zip(*rows, strict=True), found.kinds, strict=True)
+        for cells, kind in zip(zip(*rows, strict=True), table.kinds, strict=True)
         if kind is None
     ]
     if not all(_POINTED.fullmatch(cell) for cells in columns for cell in cells if "." in cell):
@@ -232,13 +227,13 @@ def _may_group(lines: Sequence[str], found: Found) -> bool:
     )
 
 
-def _first_lines(path: Path, given: CsvDialect) -> tuple[str, bool, list[str]]:
+def _first_lines(path: Path, stated: CsvDialect) -> tuple[str, bool, list[str]]:
     """Return encoding, whether there is a byte-order mark, and the lines of the sample."""
     with path.open("rb") as stream:
         sample = stream.read(SAMPLE_BYTES)
         is_whole = not stream.read(1)
     encoding, has_bom = _encoding(sample)
-    encoding = given.encoding or encoding
+    encoding = stated.encoding or encoding
     try:
         text = codecs.getincrementaldecoder(encoding)("strict").decode(sample)
     except (UnicodeError, LookupError) as error:
@@ -263,10 +258,10 @@ def _unwrapped(lines: list[str]) -> list[str]:
     return lines
 
 
-def _date_in_row(line: str, one: _Candidate) -> str | None:
+def _date_in_row(line: str, way: _Candidate) -> str | None:
     """Return the date and time of day in the text columns of a row; None if there are none."""
-    read = [i for i in one.read if getattr(one.kinds[i], "is_dated", True)]
-    cells = enumerate(split(line, one.delimiter))
+    read = [i for i in way.read if getattr(way.kinds[i], "is_dated", True)]
+    cells = enumerate(split(line, way.delimiter))
     text = " ".join(cell for i, cell in cells if cell and i not in read)
     return text if re.search(r"\d:\d\d", text) and read_date(text) is not None else None
 
@@ -275,7 +270,7 @@ EXAMPLE = 'csv: {delimiter: ";", decimal: ",", header_line: 12, encoding: utf-8}
 
 
 def _unreadable(path: Path, reason: str) -> TripError:
-    return TripError(at(path, "say-how-written", reason=reason, example=EXAMPLE))
+    return TripError.at(path, "say-how-written", reason=reason, example=EXAMPLE)
 
 
 def _encoding(sample: bytes) -> tuple[str, bool]:
@@ -323,29 +318,30 @@ def split(line: str, delimiter: str) -> list[str]:
     return [cell.strip() for cell in line.split(delimiter)]
 
 
-def _candidates(tail: Sequence[str], given: CsvDialect) -> list[_Candidate]:
+def _candidates(tail: Sequence[str], stated: CsvDialect) -> list[_Candidate]:
     """Return the combinations of delimiter and decimal sign with the fewest misfits."""
-    delimiters = (*DELIMITERS.values(), "") if given.delimiter is None else (given.delimiter,)
-    decimals = (".", ",") if given.decimal is None else (given.decimal,)
+    delimiters = (*DELIMITERS.values(), "") if stated.delimiter is None else (stated.delimiter,)
+    decimals = (".", ",") if stated.decimal is None else (stated.decimal,)
     quoted = any('"' in line for line in tail)
-    found = []
+    ways = []
     for delimiter in delimiters:
         rows = [split(line, delimiter) for line in tail]
         n_columns, n_rows = Counter(map(len, rows)).most_common(1)[0] if rows else (0, 0)
-        is_one = n_columns == 1 and delimiter and not given.delimiter
+        is_one = n_columns == 1 and delimiter and not stated.delimiter
         if n_columns == 0 or is_one or n_rows < 0.5 * len(tail):
             continue
         rows = [row for row in rows if len(row) == n_columns]
         for decimal in decimals:
             if delimiter != decimal or quoted:
-                one = _read(delimiter, decimal, rows, len(tail) - len(rows))
-                found += [one] if one.numeric else []
-    fewest = min((one.n_broken for one in found), default=0)
-    return [one for one in found if one.n_broken == fewest]
+                way = _read(delimiter, decimal, rows, len(tail) - len(rows))
+                ways += [way] if way.numeric else []
+    fewest = min((way.n_broken for way in ways), default=0)
+    return [way for way in ways if way.n_broken == fewest]
 
 
 def _read(delimiter: str, decimal: str, rows: Sequence[Sequence[str]], n_others: int) -> _Candidate:
     """Return the candidate of a delimiter and decimal sign for rows split at that delimiter."""
+    # what most cells of a column are decides its kind; the others count as misfits
     kinds: list[Kind] = []
     numeric, commas, n_broken = [], list[str](), n_others
     for i, cells in enumerate(zip(*rows, strict=True)):
@@ -365,6 +361,7 @@ def _read(delimiter: str, decimal: str, rows: Sequence[Sequence[str]], n_others:
         kinds.append(kind)
         n_broken += sum(cell.lstrip("+-.,")[:1].isdigit() for cell in words)
         commas += [cell for cell in stamps if decimal == "," and "," in cell]
+    # commas that all may separate thousands leave the decimal sign open
     thousands = bool(commas) and all(_THOUSANDS.fullmatch(cell) for cell in commas)
     firsts = [row[0] for row in rows]
     is_counted = isinstance(kinds[0], str) or (
@@ -377,42 +374,43 @@ def _read(delimiter: str, decimal: str, rows: Sequence[Sequence[str]], n_others:
     )
 
 
-def _table(lines: Sequence[str], one: _Candidate, given: CsvDialect) -> Found | None:
+def _table(lines: Sequence[str], way: _Candidate, stated: CsvDialect) -> Dialect | None:
     """Return where the table of a candidate starts, with its columns; None if there is none."""
-    begin = 0 if given.header_line is None else given.header_line
-    first = next((i for i in range(begin, len(lines)) if _begins(lines, i, one)), None)
+    begin = stated.header_line or 0
+    first = next((i for i in range(begin, len(lines)) if _begins(lines, i, way)), None)
     if first is None:
         return None
     # Rows with a word in place of a number are rows, not names.
-    while first > begin and one.is_damaged_row(lines[first - 1]):
+    while first > begin and way.is_damaged_row(lines[first - 1]):
         first -= 1
-    number = split(lines[first], one.delimiter)[0]
+    number = split(lines[first], way.delimiter)[0]
     if number.isdecimal() and number != "1":
-        one = replace(one, is_counted=False)
+        way = replace(way, is_counted=False)
+    # names and units are among the lines above, or in the line that the manifest names
     above = [i for i in range(begin, first) if re.search(r"\w", lines[i])]
-    header, names, units = -1, [""] * one.n_columns, list[str]()
-    if given.header_line is None and above:
-        header, names, units = _names(lines, above, one)
+    header, names, units = -1, [""] * way.n_columns, list[str]()
+    if stated.header_line is None and above:
+        header, names, units = _names(lines, above, way)
     elif begin:
-        header, names = begin - 1, _padded(lines[begin - 1], one)
-        units = _padded(lines[above[0]], one) if len(above) == 1 else []
+        header, names = begin - 1, _padded(lines[begin - 1], way)
+        units = _padded(lines[above[0]], way) if len(above) == 1 else []
     if not names:
         return None  # the numbers of names and columns differ
     names = [name or f"column_{i + 1}" for i, name in enumerate(names)]
     units = units or [unit_in_name(name) for name in names]
-    return Found(
-        one.delimiter,
-        one.decimal,
+    return Dialect(
+        way.delimiter,
+        way.decimal,
         header + 1,
         first + 1,
         _distinct(names),
         tuple(unit.strip("[]() ") for unit in units),
-        _kinds(lines[first : first + TAIL_LINES], one),
+        _kinds(lines[first : first + TAIL_LINES], way),
     )
 
 
 def _names(
-    lines: Sequence[str], above: Sequence[int], one: _Candidate
+    lines: Sequence[str], above: Sequence[int], way: _Candidate
 ) -> tuple[int, list[str], list[str]]:
     """Return the index of the line of names, names and units; -1 and nothing if there are none.
 
@@ -420,12 +418,12 @@ def _names(
     """
     block: list[tuple[int, list[str]]] = []  # lines of text with a cell for each column, upwards
     for i in reversed(above[-NAME_LINES:]):
-        cells = _padded(lines[i], one)
-        if not cells or (block and one.has_numbers(cells)):
+        cells = _padded(lines[i], way)
+        if not cells or (block and way.has_numbers(cells)):
             break
-        if not one.has_numbers(cells):
+        if not way.has_numbers(cells):
             block.append((i, cells))
-    if not block and (cells := _padded(lines[above[-1]], one)):
+    if not block and (cells := _padded(lines[above[-1]], way)):
         block = [(above[-1], cells)]
     if not block:
         return -1, [], []
@@ -437,19 +435,19 @@ def _names(
     return *block[header], (block[units][1] if units not in (-1, header) else [])
 
 
-def _kinds(lines: Sequence[str], one: _Candidate) -> tuple[Kind, ...]:
+def _kinds(lines: Sequence[str], way: _Candidate) -> tuple[Kind, ...]:
     """Return the kinds of the columns, by the first rows where the tail shows no numbers or times.
 
     The tail of a short file may be damaged, and that of a long one empty in some column.
     """
-    kinds = list(one.kinds)
-    rows = [split(line, one.delimiter) for line in lines]
-    rows = [cells for cells in rows if len(cells) == one.n_columns]
+    kinds = list(way.kinds)
+    rows = [split(line, way.delimiter) for line in lines]
+    rows = [cells for cells in rows if len(cells) == way.n_columns]
     for i, cells in enumerate(zip(*rows, strict=True)):
-        if isinstance(kinds[i], Notation) or i in one.numeric:
+        if isinstance(kinds[i], Notation) or i in way.numeric:
             continue
         filled = [cell for cell in cells if cell not in MISSING]
-        n_numbers = sum(bool(NUMBER[one.decimal].fullmatch(cell)) for cell in filled)
+        n_numbers = sum(bool(NUMBER[way.decimal].fullmatch(cell)) for cell in filled)
         if filled:
             is_text = 2 * n_numbers < len(filled)
             kinds[i] = notation_of(filled[0]) or (filled[0] if is_text else None)
@@ -459,46 +457,41 @@ def _kinds(lines: Sequence[str], one: _Candidate) -> tuple[Kind, ...]:
 def _distinct(names: Sequence[str]) -> tuple[str, ...]:
     """Return names with a number behind those that are equal, which all get one."""
     total, so_far = Counter(names), Counter[str]()
-    found = []
+    distinct = []
     for name in names:
         so_far[name] += 1
-        found.append(name if total[name] == 1 else f"{name}.{so_far[name]}")
-    return tuple(found)
+        distinct.append(name if total[name] == 1 else f"{name}.{so_far[name]}")
+    return tuple(distinct)
 
 
-def _begins(lines: Sequence[str], i: int, one: _Candidate) -> bool:
+def _begins(lines: Sequence[str], i: int, way: _Candidate) -> bool:
     """Return whether the rows start at line `i`: it is a row, as are half of the next lines."""
-    if not one.is_row(lines[i]):
+    if not way.is_row(lines[i]):
         return False
     following = [line for line in lines[i : i + NEXT_LINES] if line.strip()]
-    return 2 * sum(map(one.is_row, following)) >= len(following)
+    return 2 * sum(map(way.is_row, following)) >= len(following)
 
 
-def _padded(line: str, one: _Candidate) -> list[str]:
+def _padded(line: str, way: _Candidate) -> list[str]:
     """Return the cells of a line of names or units; empty if there are too few or too many.
 
     Empty columns at the end, as after a delimiter at the end of each row, need no name, nor does a
     first column that counts the rows. A word ahead of the names that marks their line is left out.
     """
-    cells = split(COMMENT.sub("", line), one.delimiter)
-    filled = max(one.read) + 1
-    if len(cells) > one.n_columns and not any(cells[one.n_columns :]):
-        cells = cells[: one.n_columns]
-    if len(cells) == one.n_columns + 1 and _TAG.match(cells[0]):
+    cells = split(COMMENT.sub("", line), way.delimiter)
+    filled = max(way.read) + 1
+    if len(cells) > way.n_columns and not any(cells[way.n_columns :]):
+        cells = cells[: way.n_columns]
+    if len(cells) == way.n_columns + 1 and _TAG.match(cells[0]):
         cells = cells[1:]
-    if len(cells) == one.n_columns - 1 == filled - 1 and one.is_counted:
+    if len(cells) == way.n_columns - 1 == filled - 1 and way.is_counted:
         cells = ["", *cells]
-    if not filled <= len(cells) <= one.n_columns:
+    if not filled <= len(cells) <= way.n_columns:
         return []
-    return cells + [""] * (one.n_columns - len(cells))
+    return cells + [""] * (way.n_columns - len(cells))
 
 
 def _are_units(cells: Sequence[str]) -> bool:
     """Return whether a line holds units: at least one known unit, and short texts only."""
     filled = [cell.strip("[]() ") for cell in cells if cell.strip("[]() ")]
     return any(is_unit(cell) for cell in filled) and all(len(cell) < 12 for cell in filled)
-
-
-def _preference(found: Found, one: _Candidate) -> tuple[bool, int, bool]:
-    """Return the sort key of a candidate: names, more columns, decimal point."""
-    return found.header_line > 0, len(one.read), found.decimal == "."

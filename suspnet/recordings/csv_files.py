@@ -16,7 +16,7 @@ import pyarrow.csv
 import pyarrow.parquet
 from numpy.typing import NDArray
 
-from suspnet.ground.findings import Finding, at, of, together
+from suspnet.ground.findings import Finding, of, together
 from suspnet.recordings.columns import Block, Column, OpenFile, as_block, check_samples
 from suspnet.recordings.csv_dialect import (
     COMMENT,
@@ -25,7 +25,7 @@ from suspnet.recordings.csv_dialect import (
     NUMBER,
     SIGNS,
     TIME_NAME,
-    Found,
+    Dialect,
     Kind,
     find_dialect,
     is_of_kind,
@@ -54,7 +54,7 @@ SHOWN = 40
 
 
 @contextmanager
-def open_parquet(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
+def open_parquet(path: Path) -> Iterator[OpenFile]:
     """Open a Parquet file; the metadata `unit` and `rate_hz` of its columns are used."""
     # Reading ahead, the default, is no faster here and uses memory for a whole column.
     with pa.parquet.ParquetFile(path, pre_buffer=False, buffer_size=PARQUET_BUFFER_BYTES) as file:
@@ -64,7 +64,7 @@ def open_parquet(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
             for name in names:
                 kind = fields[name].type
                 if not any(is_it(kind) for is_it in READ_TYPES):
-                    raise TripError(at(path, "csv-column-not-numbers", name=repr(name), value=kind))
+                    raise TripError.at(path, "csv-column-not-numbers", name=repr(name), value=kind)
             check_samples(path, file.metadata.num_rows)
             for batch in file.iter_batches(PARQUET_ROWS, columns=list(names), use_threads=False):
                 yield tuple(_from_arrow(batch.column(name)) for name in names)
@@ -73,12 +73,12 @@ def open_parquet(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
 
 
 def _parquet_column(field: Any) -> Column:
-    said = field.metadata or {}
+    metadata = field.metadata or {}
     is_time = pa.types.is_timestamp(field.type)
-    unit = said.get(b"unit", b"").decode("utf-8", "replace")
+    unit = metadata.get(b"unit", b"").decode("utf-8", "replace")
     rate_hz: float | None = None
     with suppress(ValueError):
-        rate_hz = float(said.get(b"rate_hz", b""))
+        rate_hz = float(metadata.get(b"rate_hz", b""))
     is_zoned = is_time and field.type.tz is not None
     return Column(field.name, unit or None, rate_hz, is_time=is_time, is_zoned=is_zoned)
 
@@ -91,27 +91,27 @@ def _from_arrow(column: Any) -> NDArray[Any]:
 
 
 @contextmanager
-def open_csv(path: Path, given: CsvDialect | None) -> Iterator[OpenFile]:
-    """Open a CSV file; the parts of its dialect that are not given are detected."""
-    found = find_dialect(path, given)
+def open_csv(path: Path, stated: CsvDialect | None = None) -> Iterator[OpenFile]:
+    """Open a CSV file; whatever of its dialect is not given is detected."""
+    dialect = find_dialect(path, stated)
     columns = tuple(
         Column(
             name,
             unit or None,
             is_time=isinstance(kind, Notation),
             is_zoned=isinstance(kind, Notation) and kind.is_zoned,
-            date=found.date,
+            date=dialect.date,
             unread=unread(kind),
         )
-        for name, unit, kind in zip(found.names, found.units, found.kinds, strict=True)
+        for name, unit, kind in zip(dialect.names, dialect.units, dialect.kinds, strict=True)
     )
     remarks: list[str] = []
 
     def read(names: Sequence[str]) -> Iterator[Block]:
-        return _Rows(path, found, names).blocks(remarks)
+        return _Rows(path, dialect, names).blocks(remarks)
 
-    words = together((of(path.name, str(found)), *found.unclear))
-    yield OpenFile(columns, read, words, notes=found.above, remarks=remarks)
+    words = together((of(path.name, str(dialect)), *dialect.unclear))
+    yield OpenFile(columns, read, words, notes=dialect.above, remarks=remarks)
 
 
 @dataclass
@@ -130,7 +130,7 @@ class _Remark:
 
 @dataclass
 class _Line:
-    """A line that may be part of a footer: the cells that are read, and the words among them.
+    """A line that may be of a footer: the cells that are read, and the words among them.
 
     One that is no row may be a damaged row, which is a missing sample, or the names of a table.
     """
@@ -152,11 +152,11 @@ class _Rows:
     times stay in place. Lines that are no rows, and both of these at the end, are left out.
     """
 
-    def __init__(self, path: Path, found: Found, names: Sequence[str]) -> None:
-        self.path, self.found, self.names = path, found, tuple(names)
-        self._places = [found.names.index(name) for name in names]
-        self._kinds = [found.kinds[place] for place in self._places]
-        date = read_date(found.date or "")
+    def __init__(self, path: Path, dialect: Dialect, names: Sequence[str]) -> None:
+        self.path, self.dialect, self.names = path, dialect, tuple(names)
+        self._places = [dialect.names.index(name) for name in names]
+        self._kinds = [dialect.kinds[place] for place in self._places]
+        date = read_date(dialect.date or "")
         self._day = NO_DATE if date is None else np.datetime64(date.date(), "D")
         self._n_lines = self._n_rows = self._n_zeros = 0
         self._pending: list[_Line] = []
@@ -165,11 +165,11 @@ class _Rows:
         self._convert = pa.csv.ConvertOptions(
             include_columns=list(names),
             column_types=dict(zip(names, types, strict=True)),
-            decimal_point=found.decimal,
+            decimal_point=dialect.decimal,
             null_values=sorted(MISSING),
             strings_can_be_null=True,
         )
-        delimiter = {" ": "\t", "": "\x1f"}.get(found.delimiter, found.delimiter)
+        delimiter = {" ": "\t", "": "\x1f"}.get(dialect.delimiter, dialect.delimiter)
         self._parse = pa.csv.ParseOptions(delimiter=delimiter)
 
     def blocks(self, remarks: list[str]) -> Iterator[Block]:
@@ -177,8 +177,8 @@ class _Rows:
         # Arrow reads UTF-8 with one-character delimiters: other files are converted on the fly.
         with pa.OSFile(str(self.path)) as stream:
             source: Any = stream
-            if self.found.encoding.replace("-", "").lower() not in ("utf8", "ascii"):
-                source = pa.transcoding_input_stream(source, self.found.encoding, "utf8")
+            if self.dialect.encoding.replace("-", "").lower() not in ("utf8", "ascii"):
+                source = pa.transcoding_input_stream(source, self.dialect.encoding, "utf8")
             for piece in self._pieces(source):
                 block = self._read(piece)
                 self._n_rows += len(block[0])
@@ -226,13 +226,15 @@ class _Rows:
 
     def _parsed(self, piece: bytes) -> Block:
         """Return the columns of a piece without damage; ArrowInvalid or ValueError otherwise."""
-        if self.found.delimiter == " ":  # a tab replaces blanks; none is left at the ends of lines
+        if (
+            self.dialect.delimiter == " "
+        ):  # a tab replaces blanks; none is left at the ends of lines
             piece = re.sub(rb"(?m)^\t|\t(?=\r?$)", b"", re.sub(rb"[ \t]+", b"\t", piece))
         options = pa.csv.ReadOptions(
             use_threads=False,
             block_size=len(piece) + 1,
-            skip_rows=max(self.found.first_line - 1 - self._n_lines, 0),
-            column_names=list(self.found.names),
+            skip_rows=max(self.dialect.first_line - 1 - self._n_lines, 0),
+            column_names=list(self.dialect.names),
         )
         read = pa.csv.read_csv(pa.BufferReader(piece), options, self._parse, self._convert)
         columns = [
@@ -248,36 +250,37 @@ class _Rows:
 
     def _stamps(self, column: Any, notation: Notation) -> Any:
         """Return text time stamps as datetime64[ns], in UTC if they have a zone."""
-        known = column.drop_null() if column.null_count else column
+        texts = column.drop_null() if column.null_count else column
         try:
-            stamps = read_stamps(*_letters(known), notation, self._day)
+            stamps = read_stamps(*_letters(texts), notation, self._day)
         except ValueError:
-            known = pa.compute.utf8_trim_whitespace(known)
-            stamps = read_stamps(*_letters(known), notation, self._day)
-        found = np.full(len(column), np.datetime64("NaT", "ns"))
-        found[column.is_valid().to_numpy(zero_copy_only=False)] = stamps.view("datetime64[ns]")
-        return found
+            texts = pa.compute.utf8_trim_whitespace(texts)
+            stamps = read_stamps(*_letters(texts), notation, self._day)
+        times = np.full(len(column), np.datetime64("NaT", "ns"))
+        times[column.is_valid().to_numpy(zero_copy_only=False)] = stamps.view("datetime64[ns]")
+        return times
 
     def _mended(self, text: str) -> Block:
         """Return the columns of a piece with damage, read line by line."""
         rows: list[list[str]] = []
         lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
         for number, line in enumerate(lines, self._n_lines + 1):
-            if number < self.found.first_line or not line.strip():
+            if number < self.dialect.first_line or not line.strip():
                 continue
-            found = self._judged(number, line)
-            self._pending.append(found)
-            if (found.is_row and not found.words) or len(self._pending) > FOOTER_LINES:
+            judged = self._judged(number, line)
+            self._pending.append(judged)
+            if (judged.is_row and not judged.words) or len(self._pending) > FOOTER_LINES:
                 rows += self._taken()
         return self._columns(rows)
 
     def _judged(self, number: int, text: str) -> _Line:
         """Return the cells of a line that are read; "" for words, and all "" if it is no row."""
-        cells = split(text, self.found.delimiter)
+        cells = split(text, self.dialect.delimiter)
         cells = ["" if cell in MISSING else cell for cell in cells]
-        kinds, decimal, words = self.found.kinds, self.found.decimal, []
+        kinds, decimal, words = self.dialect.kinds, self.dialect.decimal, []
         is_row = len(cells) == len(kinds)
         if is_row:
+            # a row may have words in place of some numbers, but needs its time and a number
             pairs = enumerate(zip(cells, kinds, strict=True))
             wrong = {i for i, (cell, kind) in pairs if cell and not is_of_kind(cell, kind, decimal)}
             read = {i for i, kind in enumerate(kinds) if cells[i] and not isinstance(kind, str)}
@@ -289,51 +292,41 @@ class _Rows:
                 cells[i] = ""
         if is_row:
             return _Line(number, text, [cells[i] for i in self._places], words)
-        own = split(COMMENT.sub("", text), self.found.delimiter)
+        # anything else is a damaged row, the names of a table, or a line of a footer
+        own = split(COMMENT.sub("", text), self.dialect.delimiter)
         is_like_row = len(own) == len(kinds) or any(map(NUMBER[decimal].fullmatch, own))
         is_header = is_like_row and self._is_header(own)
         is_damaged = is_like_row and not is_header and not COMMENT.match(text)
-        is_other = is_header and tuple(own) != self.found.names and len({"", *own}) > len(own)
+        is_other = is_header and tuple(own) != self.dialect.names and len({"", *own}) > len(own)
         cells = [""] * len(self._places)
         return _Line(number, text, cells, [], False, is_damaged, is_other)
 
     def _is_header(self, cells: Sequence[str]) -> bool:
         """Return whether cells are names: those of the columns, or others with one of these."""
         first = re.split(r"[\W_]", cells[0])[0]
-        shared = set(cells) & set(self.found.names) or TIME_NAME.fullmatch(first)
+        shared = set(cells) & set(self.dialect.names) or TIME_NAME.fullmatch(first)
         is_text = not any(cell[:1].isdigit() for cell in cells)
-        return tuple(cells) == self.found.names or (is_text and bool(shared))
+        return tuple(cells) == self.dialect.names or (is_text and bool(shared))
 
     def _refuse_other_dialect(self, number: int, cell: str, kind: Kind) -> None:
         """Raise TripError if a cell is a number or a time that is written in another way."""
         if isinstance(kind, Notation):
             other = notation_of(cell)
             if other is not None and not other.is_like(kind):
-                raise TripError(at(self.path, "time-stamp-differs", number=number, cell=repr(cell)))
-        elif GROUPED.fullmatch(cell) or any(one.fullmatch(cell) for one in NUMBER.values()):
-            raise TripError(
-                at(
-                    self.path,
-                    "number-grouped" if GROUPED.fullmatch(cell) else "text-in-numbers",
-                    names=list(self.names),
-                    number=number,
-                    cell=repr(cell),
-                    decimal=repr(self.found.decimal),
-                )
-            )
+                raise TripError.at(self.path, "time-stamp-differs", number=number, cell=repr(cell))
+            return
+        is_grouped = GROUPED.fullmatch(cell) is not None
+        if is_grouped or any(pattern.fullmatch(cell) for pattern in NUMBER.values()):
+            problem = "number-grouped" if is_grouped else "text-in-numbers"
+            where = {"names": list(self.names), "number": number, "cell": repr(cell)}
+            raise TripError.at(self.path, problem, **where, decimal=repr(self.dialect.decimal))
 
     def _taken(self) -> list[list[str]]:
         """Return the cells of the rows among the pending lines, whose words are missing values."""
         for line in self._pending:
             if line.is_other_table:
-                raise TripError(
-                    at(
-                        self.path,
-                        "several-tables",
-                        number=line.number,
-                        strip=repr(line.text.strip()[:SHOWN]),
-                    )
-                )
+                text = repr(line.text.strip()[:SHOWN])
+                raise TripError.at(self.path, "several-tables", number=line.number, strip=text)
             for word in line.words:
                 self._words.add(line.number, word)
             if not line.is_row:
@@ -356,18 +349,16 @@ class _Rows:
         """Raise TripError if too many lines are no rows."""
         n, first = self._lines.n + self._damaged.n, self._lines.first or self._damaged.first
         if n > MOST_LEFT_OUT * self._n_rows + FOOTER_LINES:
-            raise TripError(at(self.path, "too-many-odd-lines", n=n, first=first))
+            raise TripError.at(self.path, "too-many-odd-lines", n=n, first=first)
 
     def _remarks(self) -> Iterator[str]:
         name = self.path.name
-        if n := self._lines.n:
-            yield Finding("lines-left-out", name=name, n=n, first=self._lines.first)
-        if n := self._damaged.n:
-            yield Finding("damaged-rows", name=name, n=n, first=self._damaged.first)
-        if n := self._words.n:
-            yield Finding("words-for-numbers", name=name, n=n, first=self._words.first)
-        if n := self._n_zeros:
-            yield Finding("zero-bytes", name=name, n=n)
+        remarks = {"lines-left-out": self._lines, "damaged-rows": self._damaged}
+        for kind, remark in (remarks | {"words-for-numbers": self._words}).items():
+            if remark.n:
+                yield Finding(kind, name=name, n=remark.n, first=remark.first)
+        if self._n_zeros:
+            yield Finding("zero-bytes", name=name, n=self._n_zeros)
 
 
 def _letters(texts: Any) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:

@@ -79,7 +79,7 @@ def read_date(text: str) -> datetime | None:
     plain = " ".join(text.split())
     with suppress(ValueError):
         return datetime.fromisoformat(plain)
-    day = next(filter(None, (one.match(plain) for one in _DAYS)), None)
+    day = next(filter(None, (pattern.match(plain) for pattern in _DAYS)), None)
     if day is None:
         return None
     clock = _TIME.search(plain, day.end())
@@ -90,8 +90,8 @@ def read_date(text: str) -> datetime | None:
     letters = np.frombuffer(stamp.encode(), np.uint8)
     with suppress(ValueError):
         (ns,) = read_stamps(letters, np.array([0, len(letters)]), notation)
-        found = EPOCH + timedelta(microseconds=int(ns) // 1000)
-        return found if notation.is_zoned else found.replace(tzinfo=None)
+        moment = EPOCH + timedelta(microseconds=int(ns) // 1000)
+        return moment if notation.is_zoned else moment.replace(tzinfo=None)
     return None
 
 

@@ -23,8 +23,8 @@ DEAD = "dead"
 """Kind of the fault of a dead sensor."""
 FEW_S, FEW_SHARE = 240.0, 0.1
 """A sensor is left out if less than this duration [s] of it is usable, or than this share of what
-is usable of the other one, whichever is longer. Five minutes of both sensors gave estimates as
-accurate as twenty minutes of one."""
+is usable of the other one, whichever is longer: that much of both sensors is as good as far more of
+one."""
 LEAST_S = 1.0
 NOTHING = Finding("shows-nothing")
 """Less than this duration [s] is nothing, and how that is reported."""
@@ -32,9 +32,8 @@ LARGEST_SHARE = 0.5
 """It is not left out if more than this share of what is usable of the other one is usable."""
 SAME, STRETCHES = 1e-5, 16
 """A channel is a copy of another one if a multiple of that one explains all of its variance but
-this share, in half of the stretches of a trip. Rounding to 16 bits leaves 1e-7. Two sensors differ
-by their noise (1e-4 at 40 dB), by their axes (1e-4 for half a degree) and by the motion of their
-places: 1e-2 and more in measured records, even far below the first resonance."""
+this share, in half of the stretches of a trip. Rounding to 16 bits leaves 1e-7; noise and axes of
+two sensors 1e-4 and more."""
 
 
 def living(
@@ -48,22 +47,23 @@ def living(
     sensors if any has another problem, or if less than ``LEAST_SENSORS`` are alive and one is dead
     that is single or whose partner is dead, too.
     """
-    found: list[SensorSignal] = []
+    signals: list[SensorSignal] = []
     refused: dict[str, TripError] = {}
     for name, signal in read.items():
         try:
-            found.append(signal())
+            signals.append(signal())
         except TripError as error:
             refused[name] = error
-    dead = {name: one for name, one in refused.items() if isinstance(one, DeadSensorError)}
+    # a dead sensor is spared if its partner is alive, or enough others are
+    dead = {name: error for name, error in refused.items() if isinstance(error, DeadSensorError)}
     enough = len(read) - len(dead) >= LEAST_SENSORS
     spared = [name for name in dead if enough or partner_of(name) not in ("", *dead)]
     faults = [
-        words for name, one in refused.items() if name not in spared for words in one.problems
+        words for name, error in refused.items() if name not in spared for words in error.problems
     ]
     if every := dict.fromkeys([*problems, *faults]):
         raise TripError(*every)
-    return found, {name: one.reason for name, one in dead.items()}
+    return signals, {name: error.reason for name, error in dead.items()}
 
 
 def nearly_dead(
@@ -73,38 +73,39 @@ def nearly_dead(
 
     One without a partner is left out only if nothing of it is usable, and enough others are there.
     """
-    usable_s = {one.name: np.count_nonzero(~one.touched) / rate_hz for one in streams}
-    faults = {one.name: [*one.faults] for one in streams}
+    usable_s = {stream.name: np.count_nonzero(~stream.touched) / rate_hz for stream in streams}
+    faults = {stream.name: [*stream.faults] for stream in streams}
     for fault in loose:
         usable_s[fault.channel] -= fault.seconds
         faults[fault.channel].append(fault)
-    found: dict[str, str] = {}
+    reasons: dict[str, str] = {}
     for name, own_s in usable_s.items():
         other_s = usable_s.get(partner_of(name), 0.0)
-        can_spare = len(usable_s) - len(found) > LEAST_SENSORS
+        can_spare = len(usable_s) - len(reasons) > LEAST_SENSORS
         if partner_of(name) not in usable_s and can_spare and own_s < LEAST_S:
             other_s = max(usable_s.values())
-        if own_s < min(max(FEW_S, FEW_SHARE * other_s), LARGEST_SHARE * other_s):
-            listed = together(str(one) for one in faults[name] if not one.repaired)
-            if own_s < LEAST_S:
-                found[name] = NOTHING
-                continue
-            kind = "usable-too-short-for" if listed else "usable-too-short"
-            found[name] = Finding(kind, own_s=own_s, other_s=other_s, faults=listed)
-    return found
+        if own_s >= min(max(FEW_S, FEW_SHARE * other_s), LARGEST_SHARE * other_s):
+            continue
+        if own_s < LEAST_S:
+            reasons[name] = NOTHING
+            continue
+        listed = together(str(fault) for fault in faults[name] if not fault.repaired)
+        kind = "usable-too-short-for" if listed else "usable-too-short"
+        reasons[name] = Finding(kind, own_s=own_s, other_s=other_s, faults=listed)
+    return reasons
 
 
 def dead_faults(dead: Mapping[str, str], seconds: float, rate_hz: float) -> tuple[Fault, ...]:
-    """Return the faults of sensors that are left out, for these reasons, from so long a trip."""
-    found = []
+    """Return the faults of sensors that are left out from a trip, by their reasons."""
+    faults = []
     for name, reason in dead.items():
         place, _, side = partner_of(name).rpartition(" ")
         is_alone = place and partner_of(name) not in dead
         kind = "dead-read-alone" if is_alone else "dead-left-out"
         words = Finding(kind, place=place, side=side, reason=reason)
         n = round(seconds * rate_hz)
-        found.append(Fault(name, DEAD, n, seconds, 0.0, True, None, words))
-    return tuple(found)
+        faults.append(Fault(name, DEAD, n, seconds, 0.0, True, None, words))
+    return tuple(faults)
 
 
 def check_copies(values: Mapping[str, FloatArray], usable: BoolArray, where: object) -> None:
@@ -119,14 +120,14 @@ def check_copies(values: Mapping[str, FloatArray], usable: BoolArray, where: obj
         for name, signal in values.items()
     }
     problems = []
-    for one, other in itertools.combinations(centred, 2):
+    for first, second in itertools.combinations(centred, 2):
         products = np.array(
-            [(x @ x, y @ y, x @ y) for x, y in zip(centred[one], centred[other], strict=True)]
+            [(x @ x, y @ y, x @ y) for x, y in zip(centred[first], centred[second], strict=True)]
         ).reshape(-1, 3)
         own, its, shared = products[(products[:, :2] > 0).all(axis=1)].T
         if len(own) and np.median(1 - shared**2 / (own * its)) < SAME:
             gain = float(np.median(shared / own))
             kind = "hold-same-samples" if abs(gain - 1) < SAME else "hold-same-times"
-            problems.append(at(where, kind, one=one, other=other, gain=gain))
+            problems.append(at(where, kind, one=first, other=second, gain=gain))
     if problems:
         raise TripError(*problems)

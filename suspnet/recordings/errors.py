@@ -17,6 +17,11 @@ class TripError(ValueError):
     Its arguments are the problems, one sentence each; its text shows only the first.
     """
 
+    @classmethod
+    def at(cls, where: object, kind: str, /, **values: Any) -> TripError:
+        """Return an error of one finding, with the file or sensor it is of in front."""
+        return cls(at(where, kind, **values))
+
     @property
     def problems(self) -> tuple[str, ...]:
         """All problems, in the order in which they were found."""
@@ -47,19 +52,19 @@ def opening(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise TripError(at(path, "cannot-read", strerror=error.strerror)) from error
+        raise TripError.at(path, "cannot-read", strerror=error.strerror) from error
     except NotPlainError as error:
         raise TripError(str(error)) from error
 
 
-def all_of(parts: Iterable[Callable[[], Any]], problems: Iterable[str] = ()) -> list[Any]:
+def all_of(functions: Iterable[Callable[[], Any]], problems: Iterable[str] = ()) -> list[Any]:
     """Return the results of functions; one TripError with `problems` and those of all functions."""
-    found, problems = [], list(problems)
-    for part in parts:
+    results, problems = [], list(problems)
+    for function in functions:
         try:
-            found.append(part())
+            results.append(function())
         except TripError as error:
             problems += error.problems
     if problems:
         raise TripError(*dict.fromkeys(problems))
-    return found
+    return results

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-from suspnet.ground.findings import Finding, at
+from suspnet.ground.findings import Finding
 from suspnet.ground.storage import open_plain
 from suspnet.recordings.array_files import open_hdf5, open_mat
 from suspnet.recordings.columns import BLOCK, Block, OpenFile, Reader, check_samples, choose
@@ -23,31 +24,30 @@ from suspnet.recordings.reader_process import in_own_process
 def open_file(path: Path, csv: CsvDialect | None = None) -> Iterator[OpenFile]:
     """Open a data file: its columns with the units, rates and times that it states.
 
-    The suffix, one of ``READERS``, determines the format; `csv` gives parts of a CSV dialect.
+    The suffix, one of ``READERS``, determines the format; `csv` states how a CSV file is written.
     Opening and reading raise TripError if the file is missing, empty, damaged or of another format,
     or the package that reads it is not installed.
     """
     suffix = path.suffix.lower()
     if suffix not in READERS:
-        kind, known = (
-            "files-of-known-type" if suffix in UNREAD else "files-of-type",
-            sorted(READERS),
-        )
-        given = {"format": UNREAD.get(suffix), "suffix": repr(suffix), "suffixes": known}
-        raise TripError(Finding(kind, path=path, **given))
-    if csv is not None and READERS[suffix] is not open_csv:
-        raise TripError(at(path, "csv-for-files", suffixes=list(CSV_SUFFIXES)))
+        values = {"suffix": repr(suffix), "suffixes": sorted(READERS)}
+        raise TripError(Finding("files-of-type", path=path, **values))
+    reader = READERS[suffix]
+    if csv is not None:
+        if suffix not in CSV_SUFFIXES:
+            raise TripError.at(path, "csv-for-files", suffixes=list(CSV_SUFFIXES))
+        reader = partial(open_csv, stated=csv)
     with opening(path):
         try:
             with open_plain(path) as stream:
                 is_empty = not stream.read(1)
         except FileNotFoundError as error:
-            raise TripError(at(path, "no-such-file")) from error
+            raise TripError.at(path, "no-such-file") from error
     if is_empty:
         raise TripError(Finding("empty", path=path))
     with ExitStack() as stack:
         with _named(path):
-            file = stack.enter_context(READERS[suffix](path, csv))
+            file = stack.enter_context(reader(path))
         yield file
 
 
@@ -99,149 +99,32 @@ def _named(path: Path) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Format:
-    """One format of data files.
+    """One format of data files: the suffixes of its files, and the function that opens them.
 
-    To add a format, write a function that opens its files and add one line to ``FORMATS``.
-
-    Parameters
-    ----------
-    suffixes : tuple of str
-        Suffixes of its files.
-    open : callable
-        Returns an `OpenFile`: the columns as the file describes them, and `read`.
-    library : str, optional
-        A package that `open` imports.
-    in_own_process : bool
-        Run `open` in a confined process, for formats that declare sizes or may crash a library.
-    states : mapping of str to str
-        What its files state about their data, and what is done with it, for the documentation.
+    `library` is a package that this function imports. It runs in a confined process, as binary
+    files declare sizes and may crash a library, unless `is_confined` is False.
     """
 
     suffixes: tuple[str, ...]
     open: Reader
     library: str | None = None
-    in_own_process: bool = True
-    states: Mapping[str, str] = field(default_factory=dict)
+    is_confined: bool = True
 
 
 CSV_SUFFIXES = (".csv", ".txt", ".tsv", ".asc")
 FORMATS = (
-    Format(
-        (".parquet",),
-        open_parquet,
-        "pandas",  # Arrow imports it for its first array
-        states={
-            "metadata `unit` and `rate_hz` of a column": "used",
-            "nulls": "missing samples",
-            "time stamps, with a zone or without": "times, in UTC or in the logger's zone",
-        },
-    ),
-    # not confined: text declares no sizes, and no damaged file has crashed the reader
-    Format(
-        CSV_SUFFIXES,
-        open_csv,
-        in_own_process=False,
-        states={
-            "a line of units, or brackets behind a name": "used",
-            "empty cells, `NaN`, `NA`, `null`, `-`": "missing samples",
-            "words and infinity in place of numbers": "missing samples, counted in `read_as`",
-            "names, units, descriptions and tags over several lines": "used",
-            "footers, cut lines, zero bytes": "left out, counted in `read_as`",
-            "time stamps, with an offset or without": "times, in UTC or in the logger's zone",
-            "times of day alone, counters that start again": "times, continued over their end",
-            "a start in the lines above the table": "date",
-        },
-    ),
-    Format(
-        (".mat",),
-        open_mat,
-        "h5py",
-        states={
-            "`rate_hz` or `fs`, `unit`, `start`: next to the data": "used",
-            "structs, cells, old objects": "columns of their numbers, by their path",
-            "Simulink's structure with time": "columns named by labels, with its times",
-            "timeseries, tables, other objects": "refused by name; arrays next to them are read",
-            "logical, complex, sparse arrays, more than two dimensions": "refused by name",
-        },
-    ),
-    Format(
-        (".h5", ".hdf5"),
-        open_hdf5,
-        "h5py",
-        states={
-            "`rate_hz` or `fs`, `unit`, `start`: attributes, or next to the data": "used",
-            "`scale_factor`, `add_offset`, `_Unsigned`": "applied",
-            "`gain`, `scale`, `offset`, `sensitivity`, `calibration`": "named in `read_as`",
-            "`_FillValue`, `missing_value`, a chosen fill value but 0": "missing samples",
-            "`valid_min`, `valid_max`, `valid_range`": "samples beyond them are missing",
-            "`seconds since 2015-08-03` as unit, dimension scales": "times, with their origin",
-            "tables (compounds), cells of MATLAB 7.3": "columns of their numbers",
-            "foreign types (times, 24 bits), null spaces, other files": "refused by name",
-        },
-    ),
-    Format(
-        (".tdms",),
-        open_tdms,
-        "nptdms",
-        states={
-            "`wf_increment`, `unit_string`, scales": "used; refused if they change later",
-            "`wf_start_time`, `wf_start_offset`": "start of the channel, in UTC; 1904 is none",
-            "a later start of a segment": "a gap, from 1 ms on",
-            "segments that overlap": "refused with both times",
-            "a last segment that is incomplete": "refused",
-        },
-    ),
-    Format(
-        (".mf4", ".mdf"),
-        open_mdf,
-        "asammdf",
-        states={
-            "invalidation bits": "missing samples, at their times",
-            "conversions": "applied if arithmetic, else refused by name",
-            "unit of the channel, or else of its conversion": "used",
-            "master of a group: times": "used; in seconds without a unit",
-            "master of a group: angles, distances": "refused by name",
-            "master of a group: numbers of samples": "`rate_hz` is asked for",
-            "start, in UTC or in local time": "start, in UTC or in the logger's zone",
-            "number of records": "refused if fewer are found",
-        },
-    ),
-    Format(
-        (".uff", ".unv"),
-        open_uff,
-        "pyuff",
-        states={
-            "number of points": "refused if fewer are found; what follows is padding",
-            "increment, minimum and unit of the abscissa": "rate, or times; refused if of no time",
-            "unit of the ordinate, or else data set 164": "used",
-            "ID line 3": "date",
-        },
-    ),
-    Format(
-        (".wav",),
-        open_wav,
-        states={
-            "rate": "used; a manifest may differ by 0.5 Hz, as it is a whole number",
-            "integers": "fractions of full scale, for which `range` is needed",
-            "size of the data": "refused if less is found",
-            "chunk `bext`": "date",
-        },
-    ),
+    Format((".parquet",), open_parquet, "pandas"),  # Arrow imports it for its first array
+    Format(CSV_SUFFIXES, open_csv, is_confined=False),
+    Format((".mat",), open_mat, "h5py"),
+    Format((".h5", ".hdf5"), open_hdf5, "h5py"),
+    Format((".tdms",), open_tdms, "nptdms"),
+    Format((".mf4", ".mdf"), open_mdf, "asammdf"),
+    Format((".uff", ".unv"), open_uff, "pyuff"),
+    Format((".wav",), open_wav),
 )
 READERS: dict[str, Reader] = {
-    suffix: in_own_process(one.open, one.library) if one.in_own_process else one.open
-    for one in FORMATS
-    for suffix in one.suffixes
+    suffix: in_own_process(form.open, form.library) if form.is_confined else form.open
+    for form in FORMATS
+    for suffix in form.suffixes
 }
 """Readers by suffix."""
-UNREAD: Mapping[str, str] = {
-    ".lvm": "LabVIEW text",
-    **dict.fromkeys((".raw", ".dat"), "imc FAMOS"),
-    ".ide": "enDAQ",
-    **dict.fromkeys((".d7d", ".dxd"), "Dewesoft"),
-    ".bin": "binary numbers",
-    **dict.fromkeys((".xls", ".xlsx"), "spreadsheet"),
-    **dict.fromkeys((".npy", ".npz"), "NumPy"),
-    **dict.fromkeys((".zip", ".gz"), "packed files"),
-}
-"""Formats of recordings that are not read, by suffix."""

@@ -1,15 +1,9 @@
 """Frames: consecutive samples of one sensor, as a logger sends them.
 
 A frame is one message of the Arrow IPC streaming format: a schema with one column ``samples`` of
-float32 or float64, whose metadata hold the other fields of `Frame`, then one record batch. Arrow
-was chosen among three existing encodings. SenML (RFC 8428) writes a named record for each sample,
-ten times the bytes. CBOR (RFC 8949) with typed arrays (RFC 8746) is as compact, but needs another
-dependency, and readers of typed arrays are rare. Arrow is already a dependency, declares its types,
-and has readers in all languages of loggers; its schema of 570 bytes is a seventh of a frame of 1000
-samples in single precision.
-
-Frames are not trusted: their size is limited before they are read, and compressed batches, which
-could declare any size, are refused.
+float32 or float64, whose metadata hold the other fields of `Frame`, then one record batch. Frames
+are not trusted: their size is limited before they are read, and compressed batches, which could
+declare any size, are refused.
 """
 
 from __future__ import annotations
@@ -50,7 +44,7 @@ class FrameError(ValueError):
 
 @dataclass(frozen=True)
 class Frame:
-    """Consecutive samples of one sensor.
+    """Consecutive samples of one sensor; FrameError if a value is out of range or not finite.
 
     Parameters
     ----------
@@ -66,11 +60,6 @@ class Frame:
     unit : str
         Unit of the samples, as files write it: "m/s2", "g", "km/h".
     samples : array of shape (n_samples,), float32 or float64, [unit]
-
-    Raises
-    ------
-    FrameError
-        If a value is out of range, or a sample is NaN or infinite.
     """
 
     suspension: str
@@ -143,10 +132,7 @@ def encode(frame: Frame) -> bytes:
 def decode(data: bytes) -> Frame:
     """Return the frame of an Arrow IPC stream, as `encode` writes it.
 
-    Raises
-    ------
-    FrameError
-        If it is too long, truncated or of another format, or a value is out of range.
+    Raises FrameError if it is too long, truncated or of another format, or a value is out of range.
     """
     if len(data) > MOST_BYTES:
         raise FrameError("size", f"a frame has at most {MOST_BYTES} bytes, got {len(data)}")
@@ -209,7 +195,7 @@ def flatbuffer_field(buffer: bytes, table: int, number: int) -> int | None:
 
 def _described(metadata: dict[bytes, bytes]) -> dict[str, Any]:
     """Return all fields of a frame but its samples; FrameError if one is missing or wrong."""
-    found: dict[str, Any] = {}
+    fields: dict[str, Any] = {}
     kinds = {"sequence": ("sequence", int), "time_ns": ("time", int), "rate_hz": ("rate", float)}
     for name in ("suspension", "sensor", "unit", *kinds):
         reason, kind = kinds.get(name, ("unit" if name == "unit" else "sensor", str))
@@ -217,9 +203,8 @@ def _described(metadata: dict[bytes, bytes]) -> dict[str, Any]:
             text = metadata[name.encode()].decode()
             if len(text) > MOST_CHARACTERS:
                 raise ValueError(f"{len(text)} characters")
-            found[name] = kind(text)
+            fields[name] = kind(text)
         except (KeyError, ValueError) as error:
-            raise FrameError(
-                reason, f"`{name}` is missing or no {kind.__name__}: {error}"
-            ) from None
-    return found
+            problem = f"`{name}` is missing or no {kind.__name__}: {error}"
+            raise FrameError(reason, problem) from None
+    return fields

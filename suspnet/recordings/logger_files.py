@@ -18,7 +18,7 @@ import numpy as np
 from scipy.io import wavfile
 
 from suspnet.ground.extras import import_extra
-from suspnet.ground.findings import Finding, at
+from suspnet.ground.findings import Finding
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.columns import (
     BLOCK,
@@ -33,7 +33,6 @@ from suspnet.recordings.columns import (
     slices,
 )
 from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest_keys import CsvDialect
 
 _WAV = Lock()
 """Lock for warning filters, which are global to the process, while sensors are read in threads."""
@@ -55,7 +54,7 @@ Stated = list[tuple[int, dict[str, Any]]]
 
 
 @contextmanager
-def open_tdms(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
+def open_tdms(path: Path) -> Iterator[OpenFile]:
     """Open a TDMS file; columns are named "group/channel"."""
     nptdms = import_extra("nptdms", "tdms", f"{path}: a TDMS file", TripError)
     getLogger("nptdms").setLevel(CRITICAL)  # it logs what it raises or repairs
@@ -66,7 +65,7 @@ def open_tdms(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         if file.file_status.incomplete_final_segment:
             raise TripError(Finding("segment-cut-off", path=path))
         channels = [channel for group in file.groups() for channel in group.channels()]
-        names = [f"{one.group_name}/{one.name}" for one in channels]
+        names = [f"{channel.group_name}/{channel.name}" for channel in channels]
         n_of_name = Counter(names)
         columns: list[Column] = []
         takes: dict[str, tuple[int, Take]] = {}
@@ -77,7 +76,7 @@ def open_tdms(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
             columns.append(column)
             takes[name] = len(channel), channel.__getitem__
             if column.time is not None:
-                columns.append(Column(column.time, unit="s", is_part=True))
+                columns.append(Column(column.time, unit="s", is_by_name=True))
                 takes[column.time] = len(channel), _times_of_segments(starts, channel)
 
         notes = tuple(f"{name}: {value}" for name, value in file.properties.items())
@@ -88,26 +87,26 @@ def open_tdms(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
 def _properties_of_segments() -> Iterator[dict[str, Stated]]:
     """Collect the properties of each segment by channel, of which npTDMS keeps the last."""
     reader = import_module("nptdms.reader").TdmsReader
-    found: dict[str, Stated] = {}
+    stated: dict[str, Stated] = {}
 
     def read(self: Any, *arguments: Any) -> Any:
         segment, properties = original(self, *arguments)
         for path, values in (properties or {}).items():
             before = self.object_metadata.get(path)
-            found.setdefault(path, []).append((before.num_values if before else 0, dict(values)))
+            stated.setdefault(path, []).append((before.num_values if before else 0, dict(values)))
         return segment, properties
 
     original, reader._read_segment_metadata = reader._read_segment_metadata, read
     try:
-        yield found
+        yield stated
     finally:
         reader._read_segment_metadata = original
 
 
 def _tdms_column(name: str, channel: Any, stated: Stated) -> tuple[Column, list[tuple[int, float]]]:
-    """Return a channel, and the first sample and the time of each part of it, [s].
+    """Return a channel, and the first sample and the time of each stretch of it, [s].
 
-    There is one part unless the logger was stopped and started again.
+    There is one stretch unless the logger was stopped and started again.
     """
     properties = channel.properties
     step_s = properties.get("wf_increment")
@@ -115,7 +114,7 @@ def _tdms_column(name: str, channel: Any, stated: Stated) -> tuple[Column, list[
     kind = np.dtype(channel.dtype)
     has_rate = isinstance(step_s, float | int) and 1e-9 < step_s < 1e9
     starts_ns = _starts_ns(stated, len(channel))
-    starts, overlap = _parts(starts_ns, step_s) if has_rate else ([], "")
+    starts, overlap = _stretches(starts_ns, step_s) if has_rate else ([], "")
     is_read = kind.kind in "iufM"
     column = Column(
         name,
@@ -140,30 +139,30 @@ def _changed(stated: Stated) -> str:
     return ""
 
 
-def _parts(
+def _stretches(
     starts_ns: Sequence[tuple[int, int]], step_s: float
 ) -> tuple[list[tuple[int, float]], str]:
-    """Return the first sample and the time of each part of a channel, [s], and which overlap."""
-    parts = [(0, 0.0)]
+    """Return the first sample and the time of each stretch of a channel, [s], and which overlap."""
+    stretches = [(0, 0.0)]
     least_s = max(LEAST_GAP_S, step_s / 2)
     for (n, ns), (n_next, next_ns) in pairwise(starts_ns):
         end_ns = ns + round(1e9 * (n_next - n) * step_s)
         gap_s = (next_ns - end_ns) / 1e9
-        n_last, last_s = parts[-1]
-        part_s = (n_next - n_last) * step_s
+        n_last, last_s = stretches[-1]
+        length_s = (n_next - n_last) * step_s
         start_s = (next_ns - starts_ns[0][1]) / 1e9
-        late_s = start_s - last_s - part_s  # short pauses and overlaps add up
-        if min(gap_s, late_s + MOST_DRIFT * part_s) < -least_s:
+        late_s = start_s - last_s - length_s  # short pauses and overlaps add up
+        if min(gap_s, late_s + MOST_DRIFT * length_s) < -least_s:
             before, after = (np.datetime64(round(ns / 1000), "us") for ns in (end_ns, next_ns))
-            return parts, Finding("segments-overlap", before=before, after=after)
+            return stretches, Finding("segments-overlap", before=before, after=after)
         if late_s > least_s:
-            parts.append((n_next, start_s))
-    return parts, ""
+            stretches.append((n_next, start_s))
+    return stretches, ""
 
 
 def _starts_ns(stated: Stated, n_samples: int) -> list[tuple[int, int]]:
     """Return the starts that a channel states, each with the number of samples before it, [ns]."""
-    found: list[tuple[int, int]] = []
+    starts: list[tuple[int, int]] = []
     offset_s = 0.0
     for n, values in stated:
         offset_s = float(values.get("wf_start_offset", offset_s))
@@ -172,21 +171,21 @@ def _starts_ns(stated: Stated, n_samples: int) -> list[tuple[int, int]]:
             continue
         ns = int(start.as_datetime64("ns").astype(np.int64)) + round(1e9 * offset_s)
         # LabVIEW writes 1904 where there is none, and may write the same start in each segment
-        if ns <= 0 or (found and (ns == found[-1][1] or n >= n_samples)):
+        if ns <= 0 or (starts and (ns == starts[-1][1] or n >= n_samples)):
             continue
-        if found and found[-1][0] == n:
-            found.pop()
-        found.append((n if found else 0, ns))
-    return found
+        if starts and starts[-1][0] == n:  # a later segment without samples in between
+            starts.pop()
+        starts.append((n if starts else 0, ns))
+    return starts
 
 
 def _times_of_segments(starts: Sequence[tuple[int, float]], channel: Any) -> Take:
-    """Return the function that takes times of a channel of several parts, [s]."""
+    """Return the function that takes times of a channel of several stretches, [s]."""
     firsts, starts_s = np.array(starts).T
     step_s = channel.properties["wf_increment"]
 
-    def take(part: slice) -> FloatArray:
-        numbers = np.arange(part.start, part.stop)
+    def take(rows: slice) -> FloatArray:
+        numbers = np.arange(rows.start, rows.stop)
         i = np.searchsorted(firsts, numbers, side="right") - 1
         return np.asarray(starts_s[i] + (numbers - firsts[i]) * step_s)
 
@@ -194,7 +193,7 @@ def _times_of_segments(starts: Sequence[tuple[int, float]], channel: Any) -> Tak
 
 
 @contextmanager
-def open_uff(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
+def open_uff(path: Path) -> Iterator[OpenFile]:
     """Open a universal file; each time record of type 58 is a column, which is read whole."""
     pyuff = import_extra("pyuff", "uff", f"{path}: a universal file", TripError)
     file = pyuff.UFF(str(path))
@@ -208,15 +207,8 @@ def open_uff(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
             values = np.asarray(record["x" if is_times else "data"]).ravel()
             n_declared = int(record["num_pts"])
             if len(values) < n_declared:
-                raise TripError(
-                    at(
-                        path,
-                        "column-cut-off",
-                        name=repr(name),
-                        n_declared=n_declared,
-                        n_values=len(values),
-                    )
-                )
+                sizes = {"n_declared": n_declared, "n_values": len(values)}
+                raise TripError.at(path, "column-cut-off", name=repr(name), **sizes)
             takes[name] = n_declared, values.__getitem__  # what follows fills up a line
         return slices(path, names, takes)
 
@@ -226,41 +218,41 @@ def open_uff(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
 def _uff_columns(file: Any) -> tuple[list[Column], dict[str, int]]:
     """Return the columns of a universal file, and their record numbers by name."""
     records: dict[str, int] = {}
-    columns = []
+    columns: list[Column] = []
     length = None
     for i, kind in enumerate(file.get_set_types()):
         if kind == 164:
             length = LENGTHS.get(int(file.read_sets(i)["units_code"]))
-        if kind != 58:
-            continue
-        header = file.read_sets(i, header_only=True)
+        header = file.read_sets(i, header_only=True) if kind == 58 else {}
         if header.get("func_type") != TIME_RESPONSE:
             continue
         name = _text(header, "id1")
         if not name or name in records:
             name = f"record_{i + 1}"
         records[name] = i
-        unit, along = (_text(header, f"{axis}_axis_units_lab") for axis in ("ordinate", "abscissa"))
-        if not unit and length and header.get("ordinate_spec_data_type") == ACCELERATION:
-            unit = f"{length}/s2"
-        step_s = float(header.get("abscissa_inc") or 0.0) * (size_of("time", along or "s") or 0.0)
-        what, refused = header.get("abscissa_spec_data_type"), ""
-        if what not in (None, 0, 1, TIME):  # 0 and 1 are unknown and general
-            refused = Finding("not-of-time")
-        elif header.get("ord_data_type") in (5, 6):
-            refused = Finding("not-real", kind=np.dtype(complex))
-        about: dict[str, Any] = {
-            "unit": unit or None,
-            "date": _text(header, "id3") or None,
-            "unread": refused,
-        }
-        if header.get("abscissa_spacing") == 1 and not float(header.get("abscissa_min") or 0.0):
-            columns.append(Column(name, rate_hz=1 / step_s if step_s > 0 else None, **about))
-        else:
-            times = f"{name}: times"
-            columns.append(Column(name, time=times, **about))
-            columns.append(Column(times, unit=along or "s", is_part=True))
+        columns += _uff_record(name, header, length)
     return columns, records
+
+
+def _uff_record(name: str, header: Mapping[str, Any], length: str | None) -> Iterator[Column]:
+    """Yield the column of a time record, and that of its times if they are not even from 0 on."""
+    unit, along = (_text(header, f"{axis}_axis_units_lab") for axis in ("ordinate", "abscissa"))
+    if not unit and length and header.get("ordinate_spec_data_type") == ACCELERATION:
+        unit = f"{length}/s2"
+    refused = ""
+    if header.get("abscissa_spec_data_type") not in (None, 0, 1, TIME):  # 0, 1: unknown, general
+        refused = Finding("not-of-time")
+    elif header.get("ord_data_type") in (5, 6):
+        refused = Finding("not-real", kind=np.dtype(complex))
+    date = _text(header, "id3") or None
+    about: dict[str, Any] = {"unit": unit or None, "date": date, "unread": refused}
+    step_s = float(header.get("abscissa_inc") or 0.0) * (size_of("time", along or "s") or 0.0)
+    if header.get("abscissa_spacing") == 1 and not float(header.get("abscissa_min") or 0.0):
+        yield Column(name, rate_hz=1 / step_s if step_s > 0 else None, **about)
+        return
+    times = f"{name}: times"
+    yield Column(name, time=times, **about)
+    yield Column(times, unit=along or "s", is_by_name=True)
 
 
 def _text(header: Mapping[str, Any], key: str) -> str:
@@ -270,7 +262,7 @@ def _text(header: Mapping[str, Any], key: str) -> str:
 
 
 @contextmanager
-def open_wav(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
+def open_wav(path: Path) -> Iterator[OpenFile]:
     """Open a WAV file; columns are "channel_1" etc., integers are fractions of full scale."""
     with _WAV, warnings.catch_warnings(), path.open("rb") as stream:
         warnings.simplefilter("ignore", wavfile.WavFileWarning)  # of unknown chunks

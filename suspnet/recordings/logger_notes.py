@@ -82,11 +82,11 @@ def stated_in(lines: Iterable[str]) -> dict[str, Stated]:
 
     Examples
     --------
-    >>> found = stated_in(["Kilometerstand;123.456,7 km", "Fahrzeug: am96", "Drehgestell;vorn"])
-    >>> {key: one.value for key, one in found.items()}
+    >>> stated = stated_in(["Kilometerstand;123.456,7 km", "Fahrzeug: am96", "Drehgestell;vorn"])
+    >>> {key: note.value for key, note in stated.items()}
     {'mileage_km': 123456.7, 'vehicle': 'am96', 'bogie': 'leading'}
     """
-    found: dict[str, Stated] = {}
+    stated: dict[str, Stated] = {}
     for line in short_lines(lines):
         match = _LINE.match(line)
         key = key_of(match["name"]) if match else ""
@@ -96,8 +96,8 @@ def stated_in(lines: Iterable[str]) -> dict[str, Stated]:
         if value is not None:
             name, content = value
             source = f"by the line {match['name'].strip()!r}"
-            found.setdefault(name, Stated(content, source, line.strip()))
-    return found
+            stated.setdefault(name, Stated(content, source, line.strip()))
+    return stated
 
 
 def key_of(name: str) -> str:
@@ -147,8 +147,8 @@ def read_value(
 def choice_of(key: str, text: str) -> str:
     """Return the value of a key with a choice that the words of a text mean; empty if unclear."""
     words = set(re.split(r"[^\w+-]+", text.lower()))
-    found = [value for value, names in WORDS[key].items() if words & {value, *names}]
-    return found[0] if len(found) == 1 else ""
+    values = [value for value, names in WORDS[key].items() if words & {value, *names}]
+    return values[0] if len(values) == 1 else ""
 
 
 def _plain(name: str) -> str:

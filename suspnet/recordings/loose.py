@@ -34,10 +34,8 @@ N_AVERAGED = 16
 BAND_HZ = (1.0, 15.0)
 """Band over which the coherence is averaged, up to a quarter of the rate [Hz]."""
 ALONE, SHARED = 0.2, 0.3
-"""Mean coherences below which two sensors share no motion, and above which they do.
-
-In 120 simulated trips of 4 vehicles on 3 tracks, with 3 or 6 sensors of 20 to 50 dB, the highest
-coherence of each sensor was at least 0.23 above 25 m/s, and below 0.2 only at lower speeds."""
+"""Mean coherences below which two sensors share no motion, and above which they do. Intact sensors
+of simulated trips were below the first at low speeds only."""
 MOVING_M_PER_S = 2.0
 """Speed above which the sensors respond to the track, [m/s]."""
 USUAL = -0.2
@@ -48,7 +46,7 @@ COLLAPSED = 1.5
 sensors that were alone reached 1.1."""
 FALLEN, FALLEN_FRAMES = 1.0, 2
 """Least drop in single frames, and their number in a row, of a sensor that is loose too briefly for
-the coherence of an average to show it. Intact sensors of 20 simulated trips reached .41."""
+the coherence of an average to show it. Intact sensors of simulated trips reached 0.41."""
 SLOW_SHARE, SLOW_QUANTILE = 0.7, 0.1
 """A sensor is judged only above SLOW_SHARE times this quantile of the speeds at which it shared the
 others' motion: its signal at far lower speeds is unknown."""
@@ -75,7 +73,7 @@ class _Frames:
     `coherences`: (n_sensors, n_frames), mean over the band, with the most similar sensor. `levels`:
     (n_sensors, n_frames), [powers of ten], median over the band of the power relative to the usual
     one; NaN for sensors that never share motion. `single`: the same of each frame alone, NaN where
-    a sample of it is not usable. `speeds`: (n_frames,), [m/s]. `known`: (n_frames,), whether the
+    a sample of it is not usable. `speeds`: (n_frames,), [m/s]. `judged`: (n_frames,), whether the
     train moves and more than half of the averaged frames are usable.
     """
 
@@ -83,7 +81,7 @@ class _Frames:
     levels: FloatArray
     single: FloatArray
     speeds: FloatArray
-    known: BoolArray
+    judged: BoolArray
 
 
 def find_loose(
@@ -102,8 +100,9 @@ def find_loose(
     signals = np.stack(list(values.values()))
     frames = _frames(signals, usable, speed_m_per_s, rate_hz)
     # a sensor without shared motion is loose, has a shifted clock, or there is little motion
-    alone = (frames.coherences < ALONE) & frames.known
+    alone = (frames.coherences < ALONE) & frames.judged
     loose, late = _divided(signals, frames, alone, rate_hz)
+    # averages do not show short stretches, nor a sensor that is loose all along
     fallen = _fallen(frames)
     alone |= fallen
     loose |= fallen | (alone & _never_shared(list(values), frames)[:, None])
@@ -130,7 +129,7 @@ def _frames(
     speeds = _in_frames(np.nan_to_num(speed_m_per_s), size, step).mean(axis=1)
     window, band = get_window("hann", size), _band(size, rate_hz)
     spectra = np.stack(
-        [rfft(window * _in_frames(one, size, step), axis=1)[:, band] for one in signals]
+        [rfft(window * _in_frames(signal, size, step), axis=1)[:, band] for signal in signals]
     )
     spectra *= inside[:, None]
     power = np.maximum(_averaged(np.abs(spectra) ** 2), np.finfo(np.float64).tiny)
@@ -140,11 +139,11 @@ def _frames(
         shared = (cross / power[i] / power[j]).mean(axis=1)
         coherences[[i, j]] = np.maximum(coherences[[i, j]], shared)
     n_inside = _averaged(inside[:, None].astype(np.float64))[:, 0]
-    known = (speeds > MOVING_M_PER_S) & (n_inside > 0.5 - 0.5 / N_AVERAGED)
-    shares = (coherences >= SHARED) & known
+    judged = (speeds > MOVING_M_PER_S) & (n_inside > 0.5 - 0.5 / N_AVERAGED)
+    shares = (coherences >= SHARED) & judged
     levels = _levels(power / np.maximum(n_inside, 1 / N_AVERAGED)[:, None], shares)
     single = _levels(np.abs(spectra) ** 2, shares & inside)
-    return _Frames(coherences, levels, np.where(inside, single, np.nan), speeds, known)
+    return _Frames(coherences, levels, np.where(inside, single, np.nan), speeds, judged)
 
 
 def _levels(power: FloatArray, shares: BoolArray) -> FloatArray:
@@ -181,31 +180,32 @@ def _divided(
     """
     loose, late = np.zeros_like(alone), np.zeros_like(alone)
     for _ in range(2):
-        found = np.zeros_like(alone)
+        newly_loose = np.zeros_like(alone)
         sound = np.where(loose, np.nan, frames.levels)
         for i in np.flatnonzero(alone.any(axis=1)).tolist():
             # frames with evidence grow into the stretch of frames without shared motion
             seeds = alone[i] & ~late[i] & _evidence(frames, sound, i)
-            grown = binary_propagation(seeds, mask=(alone[i] | ~frames.known) & ~late[i])
+            grown = binary_propagation(seeds, mask=(alone[i] | ~frames.judged) & ~late[i])
             for part in map(slice, *(edges.tolist() for edges in runs(grown))):
                 if np.count_nonzero(seeds[part]) < LEAST_FRAMES:
                     continue
-                where = late if _is_elsewhere(signals, i, part, rate_hz) else found
+                where = late if _is_elsewhere(signals, i, part, rate_hz) else newly_loose
                 where[i, part] = True
-        loose = found
+        loose = newly_loose
     return loose, late
 
 
 def _never_shared(names: Sequence[str], frames: _Frames) -> BoolArray:
     """Return which sensors of pairs never show the motion that the other one of the pair shows."""
-    shares = np.count_nonzero((frames.coherences >= SHARED) & frames.known, axis=1)
-    is_alone = (frames.coherences < ALONE) & frames.known
-    n_known, n_alone = np.count_nonzero(frames.known), np.count_nonzero(is_alone, axis=1)
-    found = np.zeros(len(names), dtype=np.bool_)
+    shares = np.count_nonzero((frames.coherences >= SHARED) & frames.judged, axis=1)
+    is_alone = (frames.coherences < ALONE) & frames.judged
+    n_judged, n_alone = np.count_nonzero(frames.judged), np.count_nonzero(is_alone, axis=1)
+    never = np.zeros(len(names), dtype=np.bool_)
     for i, name in enumerate(names):
         if (partner := partner_of(name)) in names:
-            found[i] = n_alone[i] >= MOSTLY * n_known and shares[names.index(partner)] > n_known / 2
-    return found
+            is_partner_sound = shares[names.index(partner)] > n_judged / 2
+            never[i] = n_alone[i] >= MOSTLY * n_judged and is_partner_sound
+    return never
 
 
 def _evidence(frames: _Frames, levels: FloatArray, i: int) -> BoolArray:
@@ -222,27 +222,27 @@ def _evidence(frames: _Frames, levels: FloatArray, i: int) -> BoolArray:
 def _below_others(own: FloatArray, others: FloatArray) -> FloatArray:
     """Return how far a sensor's level is below that of the quietest other; -inf if unknown."""
     quietest = np.where(np.isnan(others), np.inf, others).min(axis=0)
-    known = np.isfinite(quietest) & np.isfinite(own)
-    return np.where(known, np.where(known, quietest, 0.0) - own, -np.inf)
+    is_finite = np.isfinite(quietest) & np.isfinite(own)
+    return np.where(is_finite, np.where(is_finite, quietest, 0.0) - own, -np.inf)
 
 
 def _is_fast_enough(frames: _Frames, i: int) -> BoolArray:
     """Return the frames whose speed is not far below those at which a sensor shared motion."""
     if np.isnan(frames.levels[i]).all():
-        return np.zeros_like(frames.known)
-    shares = (frames.coherences[i] >= SHARED) & frames.known
+        return np.zeros_like(frames.judged)
+    shares = (frames.coherences[i] >= SHARED) & frames.judged
     slowest = SLOW_SHARE * np.quantile(frames.speeds[shares], SLOW_QUANTILE)
     return np.asarray(frames.speeds >= slowest)
 
 
 def _fallen(frames: _Frames) -> BoolArray:
     """Return the frames in which a sensor is far quieter than all others, for a few or more."""
-    found = np.zeros(frames.single.shape, dtype=np.bool_)
+    fallen = np.zeros(frames.single.shape, dtype=np.bool_)
     for i, own in enumerate(frames.single):
         below = _below_others(own, np.delete(frames.single, i, axis=0)) >= FALLEN
-        below &= frames.known & _is_fast_enough(frames, i)
-        found[i] = binary_opening(below, np.ones(FALLEN_FRAMES))
-    return found
+        below &= frames.judged & _is_fast_enough(frames, i)
+        fallen[i] = binary_opening(below, np.ones(FALLEN_FRAMES))
+    return fallen
 
 
 def _is_elsewhere(signals: FloatArray, i: int, part: slice, rate_hz: float) -> bool:
@@ -290,10 +290,11 @@ def _painted(frames: BoolArray, n_samples: int, rate_hz: float) -> BoolArray:
 
 
 def _stretches(loose: BoolArray, alone: BoolArray, start_s: float) -> str:
+    """Return from when until when a sensor is loose, as text; the last ones are counted."""
     stretches = []
     for start, stop in zip(*runs(loose), strict=True):
-        at = np.flatnonzero(alone[start:stop]) + start
-        first, last = (start_s + at[[0, -1]] + [-1.0, 3.0]).tolist()
+        frames = np.flatnonzero(alone[start:stop]) + start
+        first, last = (start_s + frames[[0, -1]] + [-1.0, 3.0]).tolist()
         if start <= EDGE_S:
             stretches.append(Finding("until", last=last))
         elif stop >= len(loose) - EDGE_S:

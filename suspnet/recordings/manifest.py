@@ -13,20 +13,20 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
-from suspnet.ground.findings import Finding, at, of
+from suspnet.ground.findings import Finding, of
 from suspnet.ground.parameters import DIRECTIONS, ENDS, ESTIMATED, SIDES
 from suspnet.ground.records import HIGHEST_KM, MOST_NAME, Place
 from suspnet.recordings import manifest_keys as check
 from suspnet.recordings.errors import TripError, all_of
-from suspnet.recordings.manifest_keys import Key, Value, key, keys_of, optional, required
+from suspnet.recordings.manifest_keys import ManifestKey, Value, key, keys_of, optional, required
 from suspnet.recordings.manifest_sources import (
     MIDDLE,
     OTHER_AXLE,
     SPEED_UNITS,
-    Channel,
+    FileSource,
     Pair,
+    SensorSource,
     Several,
-    Source,
     SpeedSource,
     partner_of,
 )
@@ -35,8 +35,8 @@ FORMAT = "suspnet-trip-1"
 CHANNELS = ("axle_box", "bogie", "body")
 """The three vertical accelerometers, in the order of every array of signals."""
 LEAST_SENSORS = 4
-"""Least number of sensors that show the parts: one more than elevation, cross level and alignment
-of the track, whose spectra are unknown."""
+"""Least number of sensors that show each spring and damper: one more than the unknown spectra of
+the track, those of elevation, cross level and alignment."""
 NAME = f"text, at most {MOST_NAME} characters"
 """Type of the names in a manifest."""
 TEMPERATURES_C = (-60.0, 60.0)
@@ -47,47 +47,45 @@ _CONSTANT_SPEED = re.compile(r"([1-9]\d{0,2}(?:\.\d+)?) *(m/s|km/h)")
 
 def _speed(value: Value) -> float | SpeedSource:
     """Return a constant speed [m/s] or where the speed is stored."""
-    given = value.content
-    if isinstance(given, str) and (found := _CONSTANT_SPEED.fullmatch(given.strip())):
-        return float(found[1]) * SPEED_UNITS[found[2]]
-    if isinstance(given, dict):
+    content = value.content
+    if isinstance(content, str) and (match := _CONSTANT_SPEED.fullmatch(content.strip())):
+        return float(match[1]) * SPEED_UNITS[match[2]]
+    if isinstance(content, dict):
         return check.mapping_of(SpeedSource)(value)
-    return check.number(
-        "a number of m/s > 0, one with its unit (252 km/h), or a mapping with `file`",
-        check.POSITIVE,
-    )(value)
+    rule = "a number of m/s > 0, one with its unit (252 km/h), or a mapping with `file`"
+    return check.number(rule, check.POSITIVE)(value)
 
 
-def _sensor(value: Value) -> Channel:
-    keys = keys_of(Channel)
+def _sensor(value: Value) -> SensorSource:
+    keys = keys_of(SensorSource)
     if value.name.startswith(f"channels.{CHANNELS[2]}"):
         del keys["axle"]
-    return Channel(**value.read(keys))
+    return SensorSource(**value.read(keys))
 
 
-def _sensors(value: Value) -> Channel | Several:
+def _sensors(value: Value) -> SensorSource | Several:
     """Return one sensor, or several: at each axle one, or a pair."""
     if not isinstance(value.content, list):
         return _sensor(value)
-    found: list[Channel] = all_of(partial(_sensor, value.at(i)) for i in range(len(value.content)))
-    if len(found) == 1:
-        return found[0]
-    axles = [[i for i, one in enumerate(found) if (one.axle or 1) == axle] for axle in (1, 2)]
-    if not found or max(map(len, axles)) > 2:
-        both = len(found) > 2 and bool(axles[1])
-        given = {"name": value.name, "n": len(found)}
-        raise TripError(at(value.path, "one-or-two-an-axle" if both else "one-or-two", **given))
-    several: list[Channel] = []
+    n = len(value.content)
+    sensors: list[SensorSource] = all_of(partial(_sensor, value.at(i)) for i in range(n))
+    if n == 1:
+        return sensors[0]
+    axles = [[i for i in range(n) if (sensors[i].axle or 1) == axle] for axle in (1, 2)]
+    if not sensors or max(map(len, axles)) > 2:
+        kind = "one-or-two-an-axle" if n > 2 and axles[1] else "one-or-two"
+        raise TripError.at(value.path, kind, name=value.name, n=n)
+    several: list[SensorSource] = []
     for places in axles:
-        own = [found[i] for i in places]
+        own = [sensors[i] for i in places]
         several += own if len(own) < 2 else _pair(value, places, own)
     return tuple(several)
 
 
-def _pair(value: Value, places: Sequence[int], both: Sequence[Channel]) -> Pair:
+def _pair(value: Value, places: Sequence[int], both: Sequence[SensorSource]) -> Pair:
     """Return two sensors, left first, whose missing sides are inferred: the first is left."""
-    for place, one in zip(places, both, strict=True):
-        if one.side == MIDDLE:
+    for place, sensor in zip(places, both, strict=True):
+        if sensor.side == MIDDLE:
             check.one_of(SIDES)(value.at(place).at("side"))
     first, second = both
     left, right = SIDES
@@ -96,28 +94,30 @@ def _pair(value: Value, places: Sequence[int], both: Sequence[Channel]) -> Pair:
     if second.side is None:
         second = replace(second, side=left if first.side == right else right)
     if first.side == second.side:
-        raise TripError(
-            at(value.path, "two-on-left" if first.side == left else "two-on-right", name=value.name)
-        )
+        kind = "two-on-left" if first.side == left else "two-on-right"
+        raise TripError.at(value.path, kind, name=value.name)
     return (first, second) if first.side == left else (second, first)
 
 
-def _channels(value: Value) -> dict[str, Channel | Several]:
+def _channels(value: Value) -> dict[str, SensorSource | Several]:
     """Return the sensors of each channel; one without any at axle 1 if the parts can be read."""
-    one = Key(_sensors, "", "", default="")
-    found: dict[str, Channel | Several] = value.read(dict.fromkeys(CHANNELS, one))
-    several = {name: (own,) if isinstance(own, Channel) else own for name, own in found.items()}
-    if sum(map(len, several.values())) >= LEAST_SENSORS:
-        return found
-    all_of(partial(_check_first_axle, value.at(name), several.get(name)) for name in CHANNELS)
-    return found
+    key = ManifestKey(_sensors, "", "", default="")
+    channels: dict[str, SensorSource | Several] = value.read(dict.fromkeys(CHANNELS, key))
+    several = {name: _as_several(own) for name, own in channels.items()}
+    if sum(map(len, several.values())) < LEAST_SENSORS:
+        all_of(partial(_check_first_axle, value.at(name), several.get(name)) for name in CHANNELS)
+    return channels
+
+
+def _as_several(own: SensorSource | Several) -> Several:
+    return (own,) if isinstance(own, SensorSource) else own
 
 
 def _check_first_axle(value: Value, own: Several | None) -> None:
     if own is None:
-        raise TripError(at(value.path, "channel-missing", name=value.name))
+        raise TripError.at(value.path, "channel-missing", name=value.name)
     if own[0].is_elsewhere:
-        raise TripError(at(value.path, "axle-2-only", name=value.name, least_sensors=LEAST_SENSORS))
+        raise TripError.at(value.path, "axle-2-only", name=value.name, least_sensors=LEAST_SENSORS)
 
 
 def _mileage(value: Value) -> float:
@@ -128,9 +128,7 @@ def _mileage(value: Value) -> float:
 
 
 def _truth(value: Value) -> dict[str, float]:
-    one = Key(check.positive, "", "", default="")
-    found: dict[str, float] = value.read(dict.fromkeys(ESTIMATED, one))
-    return found
+    return value.read(dict.fromkeys(ESTIMATED, ManifestKey(check.positive, "", "", default="")))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,7 +213,7 @@ class TripManifest:
         "the constant speed, or where it is stored",
         "m/s",
     )
-    channels: Mapping[str, Channel | Several] = required(
+    channels: Mapping[str, SensorSource | Several] = required(
         _channels, "mapping", "`axle_box`, `bogie` and `body`: each a source, or a list of them"
     )
     truth: dict[str, float] = field(
@@ -233,46 +231,44 @@ class TripManifest:
     def place(self) -> Place:
         """The suspension of the trip."""
         named = (self.bogie, self.side, self.train, self.car)
-        return Place(self.suspension, *(one or "" for one in named))
+        return Place(self.suspension, *(name or "" for name in named))
 
-    def side_of(self, channel: Channel) -> str | None:
+    def side_of(self, channel: SensorSource) -> str | None:
         """Return the side of a single sensor: its own or else the suspension's; None if unknown."""
         return channel.side or self.side
 
     def is_pair(self, channel: str) -> bool:
         """Return whether a channel has a sensor left and right at axle 1."""
         own = self.channels.get(channel)
-        return isinstance(own, tuple) and not any(one.is_elsewhere for one in own[:2])
+        return isinstance(own, tuple) and not any(sensor.is_elsewhere for sensor in own[:2])
 
     @property
     def unplaced(self) -> tuple[str, ...]:
         """Names of the single sensors of unknown side, which are assumed to be in the middle."""
         return tuple(
             name
-            for name, one in self.sensors().items()
-            if not partner_of(name) and self.side_of(one) is None
+            for name, sensor in self.sensors().items()
+            if not partner_of(name) and self.side_of(sensor) is None
         )
 
-    def sensors(self) -> dict[str, Channel]:
+    def sensors(self) -> dict[str, SensorSource]:
         """Return all sensors by name.
 
         That of the channel is followed by ``OTHER_AXLE`` if the sensor is there, and by the side in
         a pair.
         """
-        found: dict[str, Channel] = {}
+        sensors: dict[str, SensorSource] = {}
         for channel, own in self.channels.items():
             for is_elsewhere in (False, True):
-                name = f"{channel} {OTHER_AXLE}" if is_elsewhere else channel
-                here = [
-                    one
-                    for one in ((own,) if isinstance(own, Channel) else own)
-                    if one.is_elsewhere == is_elsewhere
-                ]
-                names = [name] if len(here) == 1 else [f"{name} {one.side}" for one in here]
-                found |= dict(zip(names, here, strict=True))
-        return found
+                place = f"{channel} {OTHER_AXLE}" if is_elsewhere else channel
+                both = [one for one in _as_several(own) if one.is_elsewhere == is_elsewhere]
+                if len(both) == 1:
+                    sensors[place] = both[0]
+                else:
+                    sensors |= {f"{place} {sensor.side}": sensor for sensor in both}
+        return sensors
 
-    def sources(self) -> dict[str, Source]:
+    def sources(self) -> dict[str, FileSource]:
         """Return all sensors, and the speed if it is recorded, by name."""
         speed = {"speed": self.speed} if isinstance(self.speed, SpeedSource) else {}
         return {**self.sensors(), **speed}
@@ -281,10 +277,12 @@ class TripManifest:
         """Return file and source, as errors name them."""
         return of(self.path, "`speed`" if name == "speed" else Finding("channel", name=repr(name)))
 
-    def file_of(self, source: Source) -> Path:
+    def file_of(self, source: FileSource) -> Path:
         """Return the path of a channel's or the speed's data file."""
         return self.path.parent / source.file
 
 
-MANIFEST = {"format": Key(check.one_of([FORMAT]), "text", f"`{FORMAT}`")} | keys_of(TripManifest)
+MANIFEST = {"format": ManifestKey(check.one_of([FORMAT]), "text", f"`{FORMAT}`")} | keys_of(
+    TripManifest
+)
 """All keys of a manifest, by name."""

@@ -46,13 +46,13 @@ class ManifestFile:
         except TripError:
             raise
         except ValueError as error:
-            raise TripError(at(self.path, "invalid-yaml", error=error)) from error
+            raise TripError.at(self.path, "invalid-yaml", error=error) from error
 
     def absolute(self) -> ManifestFile:
         """Return the same file by its absolute path, without reading it again."""
-        found = ManifestFile(self.path.absolute())
-        vars(found).update({k: v for k, v in vars(self).items() if k in ("data", "content")})
-        return found
+        file = ManifestFile(self.path.absolute())
+        vars(file).update({k: v for k, v in vars(self).items() if k in ("data", "content")})
+        return file
 
     @cached_property
     def trip(self) -> TripManifest:
@@ -75,7 +75,7 @@ class ManifestFile:
             content = content | {"speed": _with_file(content.get("speed"))}
             channels = content.get("channels")
             if isinstance(channels, dict):
-                content["channels"] = {name: _with_file(one) for name, one in channels.items()}
+                content["channels"] = {name: _with_file(own) for name, own in channels.items()}
         return _parsed(self.path, content)
 
     @property
@@ -93,8 +93,8 @@ class ManifestFile:
         ends = {"bogie": ENDS, "side": SIDES}
         where = {key: str(content[key]) for key in ends if content.get(key) in list(ends[key])}
         texts = {key: content.get(key) for key in ("suspension", "train", "car")}
-        named = {key: one_line(one.strip()) for key, one in texts.items() if isinstance(one, str)}
-        is_short = all(len(one) <= MOST_NAME for one in named.values())
+        named = {k: one_line(text.strip()) for k, text in texts.items() if isinstance(text, str)}
+        is_short = all(len(text) <= MOST_NAME for text in named.values())
         return Place(**where, **named) if is_short else None
 
     @property
@@ -111,9 +111,9 @@ class ManifestFile:
         if not isinstance(self.content, dict):
             return {}
         sources, channels = {"speed": self.content.get("speed")}, self.content.get("channels")
-        for name, one in channels.items() if isinstance(channels, dict) else ():
-            several = one if isinstance(one, list) else []
-            sources[f"channels.{name}"] = one
+        for name, own in channels.items() if isinstance(channels, dict) else ():
+            several = own if isinstance(own, list) else []
+            sources[f"channels.{name}"] = own
             sources |= {f"channels.{name}[{i}]": sensor for i, sensor in enumerate(several)}
         return {
             key: source
@@ -134,37 +134,30 @@ class ManifestFile:
 
 
 def read_manifest(path: str | Path) -> TripManifest:
-    """Return a checked manifest.
-
-    Raises
-    ------
-    TripError
-        If the file cannot be read, has unknown or missing keys or wrong values, names a missing
-        data file, or names the same column for two sensors. Its `problems` are all that is wrong.
-    """
+    """Return a checked manifest; TripError, as of `ManifestFile.trip`, if anything is wrong."""
     return ManifestFile(Path(path)).trip
 
 
 def _parsed(path: Path, content: Any) -> TripManifest:
-    found = Value(path, "", content).read(MANIFEST)
-    del found["format"]
-    return TripManifest(path=path, name=path.stem, **found)
+    values = Value(path, "", content).read(MANIFEST)
+    del values["format"]
+    return TripManifest(path=path, name=path.stem, **values)
 
 
 def _with_file(source: Any) -> Any:
     """Return a source, or a pair of them, with a placeholder for a missing `file`."""
     if isinstance(source, list):
-        return [_with_file(one) for one in source]
+        return [_with_file(sensor) for sensor in source]
     return {"file": "frames"} | source if isinstance(source, dict) else source
 
 
 def _check_columns(manifest: TripManifest) -> None:
     """Raise TripError if two sensors name the same column of the same file."""
     places: dict[tuple[Path, str | None], str] = {}
-    for name, one in manifest.sensors().items():
-        other = places.setdefault((manifest.file_of(one).resolve(), one.column), name)
+    for name, sensor in manifest.sensors().items():
+        other = places.setdefault((manifest.file_of(sensor).resolve(), sensor.column), name)
         if other != name:
-            raise TripError(at(manifest.path, "same-column-twice", other=other, name=name))
+            raise TripError.at(manifest.path, "same-column-twice", other=other, name=name)
 
 
 def write_manifest(manifest: TripManifest) -> Path:
@@ -173,7 +166,7 @@ def write_manifest(manifest: TripManifest) -> Path:
     Raises TripError if it could not be read back: a value is wrong, or the name is not the file's.
     """
     values = {name: _written(getattr(manifest, name)) for name in keys_of(TripManifest)}
-    content = {"format": FORMAT} | {k: one for k, one in values.items() if one not in (None, {})}
+    content = {"format": FORMAT} | {k: v for k, v in values.items() if v not in (None, {})}
     if _parsed(manifest.path, content).name != manifest.name:
         raise TripError(f"{manifest.path}: `name` must be that of the file, got {manifest.name!r}")
     return write_atomically(manifest.path, dump_yaml(content))
@@ -184,8 +177,8 @@ def _written(value: Any) -> Any:
     if is_dataclass(value) and not isinstance(value, type):
         value = asdict(value)
     if isinstance(value, dict):
-        return {key: _written(one) for key, one in value.items() if one is not None}
-    return [_written(one) for one in value] if isinstance(value, tuple) else value
+        return {key: _written(content) for key, content in value.items() if content is not None}
+    return [_written(content) for content in value] if isinstance(value, tuple) else value
 
 
 def find_manifests(folder: Path) -> list[Path]:
@@ -205,14 +198,14 @@ def find_trips(paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
 
     A folder gives its own ``*.yaml`` files or, if it has none, those of its subfolders.
     """
-    found: list[Path] = []
+    manifests: list[Path] = []
     problems = []
     for path in paths:
         try:
-            found += _manifests(path)
+            manifests += _manifests(path)
         except OSError as error:
             problems.append(why(error))
-    return list(dict.fromkeys(found)), problems
+    return list(dict.fromkeys(manifests)), problems
 
 
 def _manifests(path: Path) -> list[Path]:
@@ -224,11 +217,13 @@ def _manifests(path: Path) -> list[Path]:
             raise OSError(Finding("no-manifest", path=path, value=command("init", path)))
         return [path]
     if not any(path.glob("*.yaml")):
-        parts = sorted(part for part in path.iterdir() if part.is_dir() and part.name[0] != ".")
-        inside = [one for part in parts for one in sorted(part.glob("*.yaml")) if one.is_file()]
+        folders = sorted(
+            folder for folder in path.iterdir() if folder.is_dir() and folder.name[0] != "."
+        )
+        inside = [file for one in folders for file in sorted(one.glob("*.yaml")) if file.is_file()]
         if inside:
             return inside
-        others = sorted(one.name for one in path.glob("*.yml"))
+        others = sorted(file.name for file in path.glob("*.yml"))
         if others:
             raise OSError(Finding("only-yml-files", path=path, others=together(others[:5], ", ")))
     return find_manifests(path)
@@ -246,7 +241,7 @@ def partial_words(folder: Path) -> str:
         what, wanted = "trips", ""
     if what == "suspensions":
         started = {path.parent for path in folder.glob("*/*.yaml")}
-        n_written = sum(not (part / UNFINISHED).exists() for part in started)
+        n_written = sum(not (folder / UNFINISHED).exists() for folder in started)
     else:
         n_written = sum(path.is_file() for path in folder.glob("*.yaml"))
     return f"partial: {n_written}{wanted} {what} are simulated"

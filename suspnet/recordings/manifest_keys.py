@@ -51,9 +51,9 @@ class Value:
         """Return an error that names file, key, rule and value."""
         name = f"`{self.name}`" if self.name else "the manifest"
         got = " ".join(reprlib.repr(self.content).split())
-        return TripError(at(self.path, "not-so", key=name, rule=rule, got=got))
+        return TripError.at(self.path, "not-so", key=name, rule=rule, got=got)
 
-    def read(self, keys: Mapping[str, Key]) -> dict[str, Any]:
+    def read(self, keys: Mapping[str, ManifestKey]) -> dict[str, Any]:
         """Return the checked values of a mapping, without optional ones that are null.
 
         Raises TripError if it is not a mapping, or else with all unknown keys, missing keys and
@@ -68,21 +68,21 @@ class Value:
             for name in self.content
             if name not in allowed
         ]
-        there = [name for name in keys if self.content.get(name) is not None]
+        present = [name for name in keys if self.content.get(name) is not None]
         problems += [
             at(self.path, "key-missing", name_of=self._name_of(name))
             for name in required
-            if name not in there
+            if name not in present
         ]
-        found = all_of([partial(keys[name].check, self.at(name)) for name in there], problems)
-        return dict(zip(there, found, strict=True))
+        values = all_of([partial(keys[name].check, self.at(name)) for name in present], problems)
+        return dict(zip(present, values, strict=True))
 
     def _name_of(self, key: object) -> str:
         return ".".join(filter(None, (self.name, str(key))))
 
 
 @dataclass(frozen=True)
-class Key:
+class ManifestKey:
     """One key of a mapping of a manifest.
 
     `check` returns the checked content of a `Value` or raises TripError. The texts are for the
@@ -106,24 +106,24 @@ class Key:
         return cells.replace("|  |", "| |")
 
 
-def key(*arguments: Any, **named: Any) -> dict[str, Key]:
-    """Return the metadata of a dataclass field that is a key, by the arguments of `Key`."""
-    return {"key": Key(*arguments, **named)}
+def key(*arguments: Any, **named: Any) -> dict[str, ManifestKey]:
+    """Return the metadata of a dataclass field that is a key, by the arguments of `ManifestKey`."""
+    return {"key": ManifestKey(*arguments, **named)}
 
 
 def required(*arguments: Any, **named: Any) -> Any:
-    """Return a dataclass field for a required key; arguments as for `Key`."""
+    """Return a dataclass field for a required key; arguments as for `ManifestKey`."""
     return field(metadata=key(*arguments, **named))
 
 
 def optional(*arguments: Any, **named: Any) -> Any:
-    """Return a dataclass field for an optional key, None by default; arguments as for `Key`."""
+    """Return a field for an optional key, None by default; arguments as for `ManifestKey`."""
     return field(default=None, metadata=key(*arguments, **named))
 
 
-def keys_of(kind: type) -> dict[str, Key]:
+def keys_of(kind: type) -> dict[str, ManifestKey]:
     """Return the keys of the mapping from which a dataclass is read."""
-    return {one.name: one.metadata["key"] for one in fields(kind) if "key" in one.metadata}
+    return {own.name: own.metadata["key"] for own in fields(kind) if "key" in own.metadata}
 
 
 # checks
@@ -138,10 +138,10 @@ def text(value: Value) -> str:
 
 def name(value: Value) -> str:
     """Return a short text of one line that is not blank, without surrounding blanks."""
-    found = text(value).strip()
-    if "\n" in found or len(printable(found)) > MOST_NAME:
+    stripped = text(value).strip()
+    if "\n" in stripped or len(printable(stripped)) > MOST_NAME:
         raise value.refuse(Finding("name-rule", most_name=MOST_NAME))
-    return found
+    return stripped
 
 
 def one_of(allowed: Sequence[Any]) -> Callable[[Value], Any]:
@@ -183,26 +183,25 @@ def either(first: int, second: int) -> Callable[[Value], int]:
     rule = Finding("either", first=first, second=second)
 
     def check(value: Value) -> int:
-        found = number(rule)(value)
-        if found not in (first, second):
+        checked = number(rule)(value)
+        if checked not in (first, second):
             raise value.refuse(rule)
-        return int(found)
+        return int(checked)
 
     return check
 
 
 def start(value: Value) -> datetime:
     """Return the start of a trip from text, or from the datetime of a manifest to be written."""
-    given = value.content
+    content = value.content
     try:
-        found = given if isinstance(given, datetime) else datetime.fromisoformat(given)
+        moment = content if isinstance(content, datetime) else datetime.fromisoformat(content)
     except (TypeError, ValueError) as error:
         raise value.refuse("a time like 2015-08-03T08:00:00") from error
-    if problem := date_problem(found):
-        raise TripError(
-            at(value.path, "start-implausible", isoformat=found.isoformat(), problem=problem)
-        )
-    return found
+    if problem := date_problem(moment):
+        stated = {"isoformat": moment.isoformat(), "problem": problem}
+        raise TripError.at(value.path, "start-implausible", **stated)
+    return moment
 
 
 def zone(value: Value) -> str:
@@ -239,7 +238,7 @@ DELIMITERS = {",": ",", ";": ";", "tab": "\t", "space": " ", "|": "|"}
 
 
 def _delimiter(value: Value) -> str:
-    signs = DELIMITERS | {one: one for one in DELIMITERS.values()}
+    signs = DELIMITERS | {sign: sign for sign in DELIMITERS.values()}
     return signs[one_of(list(signs))(value)]
 
 

@@ -21,7 +21,7 @@ UNITS = {"acceleration": ACCELERATION_UNITS, "speed": SPEED_UNITS, "time": TIME_
 MIDDLE = "middle"
 """Side of a single sensor midway between left and right, or of the mean of both."""
 OTHER_AXLE = "axle2"
-"""Word in the names of sensors at the other axle of the bogie; only estimates of parts use them."""
+"""Word in the names of sensors at the other axle of the bogie."""
 _IN_FILE = "from the file"
 
 
@@ -35,7 +35,7 @@ def _unit(units: Mapping[str, float]) -> Any:
 
 
 @dataclass(frozen=True)
-class Source:
+class FileSource:
     """Where and how one measured quantity is stored; `kind` is one of ``UNITS``."""
 
     kind: ClassVar[str] = "acceleration"
@@ -90,7 +90,7 @@ class Source:
 
 
 @dataclass(frozen=True)
-class SpeedSource(Source):
+class SpeedSource(FileSource):
     """Where the speed of the train is stored."""
 
     kind: ClassVar[str] = "speed"
@@ -98,7 +98,7 @@ class SpeedSource(Source):
 
 
 @dataclass(frozen=True)
-class Channel(Source):
+class SensorSource(FileSource):
     """Where one accelerometer is stored."""
 
     unit: str | None = _unit(ACCELERATION_UNITS)
@@ -139,9 +139,9 @@ class Channel(Source):
         return self.axle == 2
 
 
-Several = tuple[Channel, ...]
+Several = tuple[SensorSource, ...]
 """Accelerometers of one channel, those of axle 1 first, the left one of a pair first."""
-Pair = tuple[Channel, Channel]
+Pair = tuple[SensorSource, SensorSource]
 """Two accelerometers at one place, the left one first."""
 
 

@@ -17,12 +17,11 @@ from typing import Any, BinaryIO, NoReturn
 import numpy as np
 
 from suspnet.ground.extras import import_extra
-from suspnet.ground.findings import Finding, at
+from suspnet.ground.findings import Finding
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.columns import Block, Column, OpenFile, Take, slices
 from suspnet.recordings.dates import nanoseconds
 from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest_keys import CsvDialect
 
 RATIONAL = {"4": 2, "3": 9}
 RANGES = {"4": 6}
@@ -51,18 +50,18 @@ ALL_INVALID = 1
 
 
 @contextmanager
-def open_mdf(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
+def open_mdf(path: Path) -> Iterator[OpenFile]:
     """Open an MDF file; each channel group has its own times."""
     asammdf = import_extra("asammdf", "mdf", f"{path}: an MDF file", TripError)
     _disarm()
     with path.open("rb") as stream, _opened_mdf(asammdf, stream) as file:
         places: dict[str, tuple[int, int]] = {}
         columns: list[Column] = []
-        n_of_name = Counter(one.name for group in file.groups for one in group.channels)
+        n_of_name = Counter(channel.name for group in file.groups for channel in group.channels)
         for g, group in enumerate(file.groups):
             names = [
-                f"group_{g}/{one.name}" if n_of_name[one.name] > 1 else one.name
-                for one in group.channels
+                f"group_{g}/{channel.name}" if n_of_name[channel.name] > 1 else channel.name
+                for channel in group.channels
             ]
             places |= {name: (g, c) for c, name in enumerate(names)}
             columns += _columns(file, g, names)
@@ -70,7 +69,7 @@ def open_mdf(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         def read(names: Sequence[str]) -> Iterator[Block]:
             groups = {places[name][0] for name in names}
             if len(groups) > 1:
-                raise TripError(at(path, "several-groups", names=list(names)))
+                raise TripError.at(path, "several-groups", names=list(names))
             n_samples = int(file.groups[groups.pop()].channel_group.cycles_nr)
             takes = {name: (n_samples, _take(path, file, name, *places[name])) for name in names}
             return slices(path, names, takes)
@@ -87,8 +86,8 @@ def _columns(file: Any, g: int, names: Sequence[str]) -> Iterator[Column]:
     for c, (name, channel) in enumerate(zip(names, file.groups[g].channels, strict=True)):
         unit, refused = _unit(file.version, channel), _refused(file.version, channel)
         if c == master:
-            known = unit or ("s" if kind == TIME else None)
-            yield Column(name, unit=known, unread=refused, is_local=start.get("is_local", False))
+            unit = unit or ("s" if kind == TIME else None)
+            yield Column(name, unit=unit, unread=refused, is_local=start.get("is_local", False))
             continue
         if by := NO_TIMES.get(kind):
             refused = Finding("not-along-time", by=by, names=repr(names[master]))
@@ -123,8 +122,7 @@ def _major(version: str) -> str:
 def _refused(version: str, channel: Any) -> str:
     """Return why the conversion of a channel is not applied; empty if it is."""
     if channel.conversion is None:  # asammdf also leaves out one that it cannot read
-        is_damaged = bool(channel.conversion_addr)
-        return Finding("damaged-conversion") if is_damaged else ""
+        return Finding("damaged-conversion") if channel.conversion_addr else ""
     major, number = _major(version), int(channel.conversion.conversion_type)
     if number in APPLIED[major]:
         return ""
@@ -135,8 +133,8 @@ def _refused(version: str, channel: Any) -> str:
 def _notes(header: Any) -> tuple[str, ...]:
     """Return the comment and the properties of a file's header as lines."""
     properties = getattr(header, "_common_properties", None) or {}
-    named = {"vehicle": getattr(header, "subject", "")} | properties
-    lines = [f"{name}: {value}" for name, value in named.items() if value]
+    properties = {"vehicle": getattr(header, "subject", "")} | properties
+    lines = [f"{name}: {value}" for name, value in properties.items() if value]
     comment = str(getattr(header, "comment", "") or getattr(header, "description", ""))
     return (*lines, *re.sub(r"<[^<>]*>", "\n", comment).splitlines())
 
@@ -176,25 +174,20 @@ def _opened_mdf(asammdf: Any, stream: BinaryIO) -> Any:
 
 
 def _take(path: Path, file: Any, name: str, group: int, index: int) -> Take:
+    """Return the function that takes physical values of a channel; NaN where they are invalid."""
     channel = file.groups[group].channels[index]
     is_newer = file.version >= "4"
 
-    def take(part: slice) -> FloatArray:
-        numbers = np.arange(part.start, part.stop, dtype=np.float64)
+    def take(rows: slice) -> FloatArray:
+        numbers = np.arange(rows.start, rows.stop, dtype=np.float64)
         if not is_newer and index == file.masters_db.get(group) and channel.bit_count == 0:
             return numbers * (channel.sampling_rate or 1)
         # raw values, and the mask of invalid ones, which would otherwise be left out
-        values, invalid = file.get(
-            group=group,
-            index=index,
-            samples_only=True,
-            raw=True,
-            ignore_invalidation_bits=True,
-            record_offset=part.start,
-            record_count=part.stop - part.start,
-        )
+        how = {"samples_only": True, "raw": True, "ignore_invalidation_bits": True}
+        records = {"record_offset": rows.start, "record_count": rows.stop - rows.start}
+        values, invalid = file.get(group=group, index=index, **how, **records)
         if values.dtype.kind not in "iufb" or values.ndim != 1:
-            raise TripError(at(path, "column-not-numbers", name=repr(name), dtype=values.dtype))
+            raise TripError.at(path, "column-not-numbers", name=repr(name), dtype=values.dtype)
         is_virtual = is_newer and channel.channel_type in VIRTUAL
         values = _converted(numbers if is_virtual else values, channel.conversion, file.version)
         if is_newer and channel.flags & ALL_INVALID:

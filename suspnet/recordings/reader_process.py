@@ -1,22 +1,20 @@
 """Readers in separate processes: a file that crashes or hangs its reader only causes an error.
 
-Libraries for binary formats crash on some damaged files (the MAT reader of scipy on 6 of 500), or
-never return (HDF5 on 2 of 500), and some execute what a file contains: run a formula, read other
-files. Each file is therefore read in a separate process that can do nothing else (`confinement`).
+Libraries for binary formats crash on some damaged files, or
+never return, and some execute what a file contains: run a formula, read other
+files. Each file is therefore read in a separate process that can do nothing else (`reader_server`).
 It opens the file or reads the next block on request; each of these steps has a time limit. The
 processes are forked from a server that has imported the libraries. Requests and answers are lines
-of JSON; arrays are passed in shared memory. Nothing is unpickled.
+of JSON; the bytes of arrays follow an answer. Nothing is unpickled.
 """
 
 from __future__ import annotations
 
 import atexit
-import fcntl
 import functools
 import itertools
 import json
 import logging
-import mmap
 import os
 import re
 import signal
@@ -31,10 +29,10 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.ground.findings import Finding, at, of, restored, together
+from suspnet.ground.findings import Finding, at, restored, together
 from suspnet.ground.storage import open_plain, stored_bytes
 from suspnet.recordings.columns import (
-    SHARED_BYTES,
+    MOST_BLOCK_BYTES,
     Block,
     Column,
     OpenFile,
@@ -43,7 +41,6 @@ from suspnet.recordings.columns import (
     step_s,
 )
 from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest_keys import CsvDialect
 
 log = logging.getLogger(__name__)
 LIMIT = "SUSPNET_READER_S"
@@ -66,6 +63,8 @@ ENVIRONMENT = {
 }
 """Environment variables of reader processes, in addition."""
 
+SERVER_CODE = "from suspnet.recordings.reader_server import serve; serve()"
+
 
 def in_own_process(reader: Reader, library: str | None = None) -> Reader:
     """Return a reader that runs `reader`, an importable function, in a separate process.
@@ -76,18 +75,13 @@ def in_own_process(reader: Reader, library: str | None = None) -> Reader:
 
     @contextmanager
     @functools.wraps(reader)
-    def opened(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
+    def opened(path: Path) -> Iterator[OpenFile]:
         process = _Process(path, [reader.__module__, reader.__name__], library)
         try:
-            found, _arrays = process.ask({"open": True})
-            if found["missing"]:
-                _warn_once(together(found["missing"]))
-            columns = tuple(
-                Column(**column | {"unread": restored(column["unread"])})
-                for column in found["columns"]
-            )
-            words, hint = restored(found["words"]), restored(found["hint"])
-            numbers = itertools.count()
+            description, _ = process.ask({"open": True})
+            if description["missing"]:
+                _warn_once(together(description["missing"]))
+            numbers = itertools.count()  # several blocks of one file may be read by turns
 
             def read(names: Sequence[str]) -> Iterator[Block]:
                 number = next(numbers)
@@ -97,7 +91,16 @@ def in_own_process(reader: Reader, library: str | None = None) -> Reader:
                         return
                     yield block
 
-            yield OpenFile(columns, read, words, hint, tuple(found["notes"]))
+            yield OpenFile(
+                columns=tuple(
+                    Column(**column | {"unread": restored(column["unread"])})
+                    for column in description["columns"]
+                ),
+                read=read,
+                words=restored(description["words"]),
+                hint=restored(description["hint"]),
+                notes=tuple(description["notes"]),
+            )
         finally:
             process.end()
 
@@ -113,14 +116,11 @@ class _Server:
     """Client of the server from which reader processes are forked."""
 
     def __init__(self) -> None:
-        code = (
-            f"import sys; sys.path[:] = {[str(place) for place in sys.path]}; "
-            f"from suspnet.recordings.reader_server import serve; serve()"
-        )
+        path = f"import sys; sys.path[:] = {[str(folder) for folder in sys.path]}; "
         self._control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
             self._child = subprocess.Popen(
-                [sys.executable, "-c", code],
+                [sys.executable, "-c", path + SERVER_CODE],
                 stdin=theirs.fileno(),
                 stdout=subprocess.DEVNULL,
                 env={k: v for k, v in os.environ.items() if PASSED.fullmatch(k)} | ENVIRONMENT,
@@ -178,26 +178,20 @@ class _Process:
     def __init__(self, path: Path, function: Sequence[str], library: str | None) -> None:
         self.path = path
         self._is_late = False
-        words = _late.get(_state(path))
-        if words is not None:
-            raise TripError(words)
+        if (late := _late.get(_state(path))) is not None:
+            raise TripError(late)
         ours, theirs = socket.socketpair()
         with ours, theirs, open_plain(path) as stream:
-            stored = stored_bytes(stream)
-            self._limit_s = _limit_s(stored)
+            n_bytes = stored_bytes(stream)
+            self._limit_s = _limit_s(n_bytes)
             request = {
                 "path": str(path),
                 "folder": os.getcwd(),
                 "function": list(function),
                 "library": library,
-                "memory_bytes": memory_bytes(stored),
+                "memory_bytes": memory_bytes(n_bytes),
             }
-            handle = _shared_memory()
-            try:
-                self._shared = mmap.mmap(handle, SHARED_BYTES)
-                self._pid = _started(request, [stream.fileno(), theirs.fileno(), handle])
-            finally:
-                os.close(handle)
+            self._pid = _started(request, [stream.fileno(), theirs.fileno()])
             self._requests, self._answers = ours.makefile("wb"), ours.makefile("rb")
 
     def ask(self, request: dict[str, Any]) -> tuple[dict[str, Any], Block]:
@@ -231,13 +225,15 @@ class _Process:
         self._requests.write(json.dumps(request).encode() + b"\n")
         self._requests.flush()
         answer = json.loads(self._answers.readline())
-        arrays, place = [], 0
-        for dtype, n_samples in answer.get("arrays", []):
-            if place + 8 * n_samples > SHARED_BYTES:
+        # a reader is not trusted: it must not make this process take more memory than a block
+        if 8 * sum(abs(n_samples) for _, n_samples in answer["arrays"]) > MOST_BLOCK_BYTES:
+            raise ValueError
+        arrays = []
+        for dtype, n_samples in answer["arrays"]:
+            array = np.empty(n_samples, DTYPES[DTYPES.index(dtype)])
+            if self._answers.readinto(array.view(np.uint8).data) != array.nbytes:
                 raise ValueError
-            kind = np.dtype(DTYPES[DTYPES.index(dtype)])
-            arrays.append(np.frombuffer(self._shared, kind, n_samples, place).copy())
-            place += 8 * n_samples
+            arrays.append(array)
         return answer, tuple(arrays)
 
     def _end_late(self) -> None:
@@ -249,11 +245,10 @@ class _Process:
         """Return a message on why the process ended; a file that took too long is remembered."""
         code = self.end(CRASH_S)
         if self._is_late or code == -signal.SIGALRM:
-            late = Finding("reader-late", limit_s=self._limit_s, variable=LIMIT)
-            words = of(self.path, late)
+            late = at(self.path, "reader-late", limit_s=self._limit_s, variable=LIMIT)
             with suppress(OSError):
-                _late[_state(self.path)] = words
-            return words
+                _late[_state(self.path)] = late
+            return late
         how: str = Finding("exit-code", code=code)
         if code < 0:
             with suppress(ValueError):
@@ -265,29 +260,23 @@ class _Process:
         """Wait up to `grace_s` for the process to exit, kill it otherwise; return its exit code."""
         if self._requests.closed:
             return 0
-        for part in (self._requests, self._answers, self._shared):
+        for stream in (self._requests, self._answers):
             with suppress(OSError):
-                part.close()
+                stream.close()
         return _ended({"end": self._pid, "grace_s": grace_s})
 
 
-def _shared_memory() -> int:
-    handle = os.memfd_create("block", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
-    os.ftruncate(handle, SHARED_BYTES)
-    fcntl.fcntl(handle, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW)
-    return handle
-
-
 def _state(path: Path) -> tuple[str, int, int]:
-    found = path.stat()
-    return str(path), found.st_size, found.st_mtime_ns
+    """Return what identifies the content of a file: path, size and time of change."""
+    stat = path.stat()
+    return str(path), stat.st_size, stat.st_mtime_ns
 
 
-def _limit_s(stored: int) -> float:
+def _limit_s(n_bytes: int) -> float:
     """Return the time limit of one step, [s]; TripError if the environment variable is invalid."""
     text = os.environ.get(LIMIT, "")
     if not text:
-        return step_s(stored)
+        return step_s(n_bytes)
     with suppress(ValueError):
         if 0 < float(text) <= threading.TIMEOUT_MAX:
             return float(text)

@@ -12,7 +12,6 @@ import ctypes
 import errno
 import importlib
 import json
-import mmap
 import os
 import platform
 import signal
@@ -29,13 +28,13 @@ from typing import IO, Any
 import numpy as np
 
 from suspnet.ground.findings import Finding, of, stored
-from suspnet.recordings.columns import SHARED_BYTES, Block, OpenFile, Reader
+from suspnet.recordings.columns import MOST_BLOCK_BYTES, Block, OpenFile, Reader
 from suspnet.recordings.dates import short_lines
 from suspnet.recordings.errors import TripError
 
 MOST_NOTES = 1000
 """Largest number of lines in which a logger describes a recording; the rest is ignored."""
-MEMORY_WORDS = Finding("takes-too-much-memory")
+NO_MEMORY = Finding("takes-too-much-memory")
 
 
 def serve() -> None:
@@ -48,20 +47,22 @@ def serve() -> None:
         os.dup2(nowhere, stream)
     with suppress(BrokenPipeError, ConnectionResetError):
         while True:  # ends with the client
-            message, handles, _, _ = socket.recv_fds(control, 2**16, 3)
+            message, handles, _, _ = socket.recv_fds(control, 2**16, 2)
             if not message:
                 return
             request = json.loads(message)
             if "end" in request:
                 number = _end(request["end"], request["grace_s"])
             else:
-                number = _forked(request, handles, control)
+                number = _fork(request, handles, control)
             for handle in handles:
                 os.close(handle)
             control.send(str(number).encode())
 
 
-def _forked(request: dict[str, Any], handles: Sequence[int], control: socket.socket) -> int:
+def _fork(request: dict[str, Any], handles: Sequence[int], control: socket.socket) -> int:
+    """Fork a confined process that reads a file, and return its id."""
+    # import in the server, so that each process need not do it again
     module, name = request["function"]
     reader = getattr(importlib.import_module(module), name)
     if request["library"] is not None:
@@ -71,11 +72,11 @@ def _forked(request: dict[str, Any], handles: Sequence[int], control: socket.soc
     if pid == 0:
         try:
             control.close()
-            file, connection, memory = handles
-            shared = mmap.mmap(memory, SHARED_BYTES)
+            file, connection = handles
             os.chdir(request["folder"])  # names in messages may be relative to it
-            missing = confine(file, Path(request["path"]), request["memory_bytes"])
-            _serve_file(reader, Path(request["path"]), connection, shared, missing)
+            path = Path(request["path"])
+            missing = confine(file, path, request["memory_bytes"])
+            _serve_file(reader, path, connection, missing)
         finally:
             os._exit(0 if sys.exc_info()[0] is None else 1)
     return pid
@@ -95,9 +96,8 @@ def _end(pid: int, grace_s: float) -> int:
     return -signal.SIGKILL
 
 
-def _serve_file(
-    reader: Reader, path: Path, connection: int, shared: mmap.mmap, missing: Sequence[str]
-) -> None:
+def _serve_file(reader: Reader, path: Path, connection: int, missing: Sequence[str]) -> None:
+    """Answer requests until the client closes the connection."""
     with (
         os.fdopen(connection, "rb", closefd=False) as requests,
         os.fdopen(connection, "wb", closefd=False) as answers,
@@ -105,19 +105,17 @@ def _serve_file(
     ):
         for answer, arrays in _answers(reader, path, requests):
             signal.setitimer(signal.ITIMER_REAL, 0)
-            kinds, place = [], 0
+            answer["arrays"] = [[str(array.dtype), len(array)] for array in arrays]
+            answers.write(json.dumps(answer | {"missing": missing}).encode() + b"\n")
             for array in arrays:
-                kinds.append([str(array.dtype), len(array)])
-                np.frombuffer(shared, array.dtype, len(array), place)[:] = array
-                place += array.nbytes
-            answer |= {"arrays": kinds, "missing": missing}
-            answers.write(json.dumps(answer).encode() + b"\n")
+                answers.write(np.ascontiguousarray(array).view(np.uint8).data)
             answers.flush()
 
 
 def _answers(
     reader: Reader, path: Path, requests: IO[bytes]
 ) -> Iterator[tuple[dict[str, Any], Block]]:
+    """Yield the answer to each request: its values and arrays."""
     with ExitStack() as stack:
         file, blocks = OpenFile((), lambda _: iter(())), dict[int, Iterator[Block]]()
         for line in requests:
@@ -128,11 +126,8 @@ def _answers(
             arrays: Block = ()
             try:
                 if "open" in request:
-                    file = stack.enter_context(reader(path, None))
-                    columns = [asdict(one) | {"unread": stored(one.unread)} for one in file.columns]
-                    answer = {"columns": columns, "hint": stored(file.hint)}
-                    answer["words"] = stored(file.words)
-                    answer["notes"] = short_lines(file.notes)[:MOST_NOTES]
+                    file = stack.enter_context(reader(path))
+                    answer = _description(file)
                 else:
                     number = request["block"]
                     if number not in blocks:
@@ -141,16 +136,26 @@ def _answers(
             except TripError as error:
                 answer = {"problems": [*map(stored, error.problems)]}
             except MemoryError:
-                answer = {"problems": [stored(of(path, MEMORY_WORDS))]}
+                answer = {"problems": [stored(of(path, NO_MEMORY))]}
             except Exception as error:  # whatever a library raises on a damaged file
                 answer = {"error": str(error) or type(error).__name__}
             yield answer, arrays
 
 
+def _description(file: OpenFile) -> dict[str, Any]:
+    """Return an open file but its blocks as JSON-able values."""
+    return {
+        "columns": [asdict(column) | {"unread": stored(column.unread)} for column in file.columns],
+        "words": stored(file.words),
+        "hint": stored(file.hint),
+        "notes": short_lines(file.notes)[:MOST_NOTES],
+    }
+
+
 def _pieces(blocks: Iterator[Block]) -> Iterator[Block]:
-    """Yield blocks cut so that they fit in the shared memory."""
+    """Yield blocks cut into pieces of at most ``MOST_BLOCK_BYTES``."""
     for block in blocks:
-        most = max(SHARED_BYTES // 8 // max(len(block), 1), 1)
+        most = max(MOST_BLOCK_BYTES // 8 // max(len(block), 1), 1)
         for start in range(0, len(block[0]), most):
             yield tuple(array[start : start + most] for array in block)
 
@@ -167,13 +172,14 @@ MOST_DESCRIPTORS = 64
 _READ_FILE, _READ_DIR = 1 << 2, 1 << 3
 _FS_RIGHTS = {1: 13, 2: 14, 3: 15, 5: 16}
 """Number of file access rights, by the version of Landlock that introduced them."""
-_CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
+CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
+"""Numbers of Landlock's system calls, the same on all processors."""
 _SET_PDEATHSIG, _SET_SECCOMP, _SET_NO_NEW_PRIVS = 1, 22, 38
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
-_ARCHITECTURES = {"x86_64": (0xC000003E, 0), "aarch64": (0xC00000B7, 1)}
+ARCHITECTURES = {"x86_64": (0xC000003E, 0), "aarch64": (0xC00000B7, 1)}
 """Audit code of an architecture, and the place of its numbers in the tables of system calls."""
 # reading, memory, time, threads, and what a process asks about itself
-_ALLOWED_CALLS = """
+ALLOWED_CALLS = """
 read:0:63 write:1:64 close:3:57 stat:4: fstat:5:80 lstat:6: poll:7: lseek:8:62 mmap:9:222
 brk:12:214 mprotect:10:226 munmap:11:215 rt_sigaction:13:134 dup:32:23 rt_sigprocmask:14:135
 rt_sigreturn:15:139 pread64:17:67 readv:19:65 writev:20:66 access:21: sched_yield:24:124
@@ -189,7 +195,7 @@ membarrier:324:283 statx:332:291 rseq:334:293 faccessat2:439:439
 """
 """Name and number of each allowed system call, on x86-64 and on ARM."""
 _ALL, _CLONE_THREAD, _TCGETS, _OF_SIGNALS = 0xFFFFFFFF, 0x10000, 0x5401, 8
-_BOUNDED_CALLS = {
+BOUNDED_CALLS = {
     "open": (2, 0xFFFF, 1, _WRITES, 0),  # no such number on ARM
     "openat": (257, 56, 2, _WRITES, 0),
     "ioctl": (16, 29, 1, _ALL, _TCGETS),  # is it a terminal?
@@ -197,14 +203,15 @@ _BOUNDED_CALLS = {
     "clone": (56, 220, 0, _CLONE_THREAD, _CLONE_THREAD),  # threads only
     "prlimit64": (302, 261, 0, _ALL, 0),  # of this process
 }
-_OWN_SIGNALS = {"kill": (62, 129), "tgkill": (234, 131)}
+OWN_SIGNALS = {"kill": (62, 129), "tgkill": (234, 131)}
 """System calls that are allowed if an argument has certain bits: the number of the argument, the
 bits that count, and their value; in the last table the first argument is this process."""
 _REFUSED_EVENTS = (
     *("ctypes.dlopen", "os.exec", "os.fork", "os.forkpty", "os.posix_spawn", "os.spawn"),
     *("os.startfile", "os.system", "pty.spawn", "subprocess.Popen", "socket.", "pickle.find_class"),
     *("os.chmod", "os.chown", "os.link", "os.mkdir", "os.remove", "os.rename", "os.rmdir"),
-    *("os.symlink", "os.truncate", "os.utime", "shutil.", "sqlite3.", "urllib.", "webbrowser."),
+    *("os.symlink", "os.truncate", "os.utime", "os.kill", "shutil.", "sqlite3.", "urllib."),
+    "webbrowser.",
 )
 """Prefixes of Python audit events that no reader needs."""
 
@@ -220,7 +227,7 @@ def confine(descriptor: int, path: Path, memory_bytes: int) -> list[str]:
     is_limited, is_private, is_filtered = _limit(memory_bytes), False, False
     with suppress(OSError, AttributeError):
         libc = ctypes.CDLL(None, use_errno=True)
-        libc.prctl(_SET_PDEATHSIG, 9, 0, 0, 0)
+        libc.prctl(_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
         if libc.prctl(_SET_NO_NEW_PRIVS, 1, 0, 0, 0) == 0:
             is_private = _restrict_files(libc, descriptor, folders)
             is_filtered = _filter_calls(libc)
@@ -230,17 +237,17 @@ def confine(descriptor: int, path: Path, memory_bytes: int) -> list[str]:
         "Landlock (read other files)": is_private,
         "a filter of system calls (connect, start programs, change files)": is_filtered,
     }
-    return [part for part, is_there in parts.items() if not is_there]
+    return [part for part, is_present in parts.items() if not is_present]
 
 
 def _code_folders() -> list[str]:
-    prefixes = tuple({f"{os.path.realpath(one)}/lib" for one in (sys.prefix, sys.base_prefix)})
-    own = [os.path.realpath(place) for place in sys.path if place]
+    """Return the folders of Python's code and of the libraries that it loads."""
+    prefixes = tuple({f"{os.path.realpath(root)}/lib" for root in (sys.prefix, sys.base_prefix)})
     packages = [
-        place
-        for place in own
-        if os.path.basename(place) in ("site-packages", "dist-packages")
-        or place.startswith(prefixes)
+        folder
+        for folder in map(os.path.realpath, filter(None, sys.path))
+        if os.path.basename(folder) in ("site-packages", "dist-packages")
+        or folder.startswith(prefixes)
     ]
     system = ("/lib", "/lib64", "/usr/lib", "/usr/lib64", "/usr/share/zoneinfo")
     return list(filter(os.path.isdir, {*prefixes, *packages, *map(os.path.realpath, system)}))
@@ -267,13 +274,13 @@ def _restrict_files(libc: Any, descriptor: int, folders: Sequence[str]) -> bool:
 
     Its earlier versions refuse less; the filter of system calls refuses that too.
     """
-    version = libc.syscall(_CREATE_RULESET, None, 0, 1)
+    version = libc.syscall(CREATE_RULESET, None, 0, 1)
     if version < 1:
         return False
     n_rights = max(n for first, n in _FS_RIGHTS.items() if first <= version)
     attributes = ((1 << n_rights) - 1, 0b11 * (version >= 4), 0b11 * (version >= 6))
     size = 8 * (1 + (version >= 4) + (version >= 6))
-    ruleset = libc.syscall(_CREATE_RULESET, struct.pack("QQQ", *attributes)[:size], size, 0)
+    ruleset = libc.syscall(CREATE_RULESET, struct.pack("QQQ", *attributes)[:size], size, 0)
     if ruleset < 0:
         return False
     try:
@@ -293,22 +300,22 @@ def _allow(libc: Any, ruleset: int, handle: int, rights: int) -> None:
 
 def _filter_calls(libc: Any) -> bool:
     """Refuse all system calls but those of the tables; return whether it is so."""
-    if platform.machine() not in _ARCHITECTURES:
+    if platform.machine() not in ARCHITECTURES:
         return False
-    code, place = _ARCHITECTURES[platform.machine()]
-    own = [(*numbers, 0, _ALL, os.getpid()) for numbers in _OWN_SIGNALS.values()]
+    code, place = ARCHITECTURES[platform.machine()]
+    own = [(*numbers, 0, _ALL, os.getpid()) for numbers in OWN_SIGNALS.values()]
     # classic BPF: (operation, skip if true, skip if false, operand)
     load, equal, bits, give = 0x20, 0x15, 0x54, 0x06
     allow, refuse = (give, 0, 0, 0x7FFF0000), (give, 0, 0, 0x00050000 | errno.EPERM)
     program = [(load, 0, 0, 4), (equal, 1, 0, code), refuse, (load, 0, 0, 0)]
-    for number in (one.split(":")[1 + place] for one in _ALLOWED_CALLS.split()):
+    for number in (call.split(":")[1 + place] for call in ALLOWED_CALLS.split()):
         program += [(equal, 0, 1, int(number)), allow] if number else []
-    for *numbers, argument, mask, value in (*_BOUNDED_CALLS.values(), *own):
+    for *numbers, argument, mask, value in (*BOUNDED_CALLS.values(), *own):
         program += [(equal, 0, 5, numbers[place]), (load, 0, 0, 16 + 8 * argument)]
         program += [(bits, 0, 0, mask), (equal, 0, 1, value), allow, refuse]
     # libraries do without calls that look missing, as clone3(), whose flags cannot be read
     program.append((give, 0, 0, 0x00050000 | errno.ENOSYS))
-    content = ctypes.create_string_buffer(b"".join(struct.pack("HBBI", *one) for one in program))
+    content = ctypes.create_string_buffer(b"".join(struct.pack("HBBI", *step) for step in program))
     head = struct.pack("HxxxxxxP", len(program), ctypes.addressof(content))
     return bool(libc.prctl(_SET_SECCOMP, 2, head, 0, 0) == 0)
 
@@ -322,9 +329,9 @@ def _refuse_events(path: Path, folders: Sequence[str]) -> None:
         is_allowed = not event.startswith(_REFUSED_EVENTS)
         if event == "open" and not isinstance(arguments[0], int):
             name, _, flags = arguments
-            place = os.path.realpath(os.fsdecode(name))
-            is_allowed = place == own or place.startswith(allowed)
-            is_allowed = is_allowed and not (isinstance(flags, int) and flags & _WRITES)
+            target = os.path.realpath(os.fsdecode(name))
+            is_read_only = not (isinstance(flags, int) and flags & _WRITES)
+            is_allowed = is_read_only and (target == own or target.startswith(allowed))
         if not is_allowed:
             what = f"{event} {arguments[0]}" if arguments else event
             raise PermissionError(Finding("reader-misled", what=what))

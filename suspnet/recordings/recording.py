@@ -2,8 +2,8 @@
 
 A place may have a sensor on the left and one on the right. Each is read, cleaned and resampled
 separately. Their mean is the channel, in which roll cancels; half their difference is also stored.
-Where one of them is dead, the other one alone is the channel. Sensors at the bogie's other axle are
-part of no channel.
+Where one of them is dead, the other one alone is the channel. Sensors at the bogie's other axle
+belong to no channel.
 """
 
 from __future__ import annotations
@@ -14,10 +14,12 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import partial
 from itertools import chain
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from suspnet.ground.findings import Finding, at, together
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import SIDES
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray
@@ -30,7 +32,7 @@ from suspnet.recordings.errors import TripError, all_of
 from suspnet.recordings.loose import find_loose
 from suspnet.recordings.manifest import CHANNELS, TripManifest
 from suspnet.recordings.manifest_sources import TIME_UNITS, channel_of, partner_of
-from suspnet.recordings.sensor import PASS, Sensor, SensorSignal
+from suspnet.recordings.sensor import PASS, SensorSignal, SensorStream
 from suspnet.recordings.sources import open_source, zero_of
 from suspnet.recordings.speed import SpeedTrack, read_speed, speed_at
 
@@ -50,8 +52,6 @@ class Recording(ShortRepr):
 
     Attributes
     ----------
-    manifest : TripManifest
-    rate_hz : float, [Hz]
     signals : array of shape (3, n), [m/s2]
         Accelerations in the order of ``CHANNELS``, with the signs of the manifest, zero phase and
         gain 1 up to ``rate_hz / 4``. For a pair of sensors, (left + right) / 2. NaN without a
@@ -62,10 +62,9 @@ class Recording(ShortRepr):
         NaN where unknown.
     faults : tuple of Fault
         By channel and kind.
-    duration_s : float, [s]
-        ``n / rate_hz``.
-    start_s : float, [s]
-        Time of the first sample on the trip's clock, a multiple of ``1 / rate_hz``.
+    duration_s, start_s : float, [s]
+        ``n / rate_hz``, and the time of the first sample on the trip's clock, a multiple of
+        ``1 / rate_hz``.
     paired : tuple of 3 bool
         Which channels are pairs of sensors of which none is dead, in the order of ``CHANNELS``.
     differences : array of shape (n_pairs, n), [m/s2]
@@ -95,11 +94,11 @@ class Recording(ShortRepr):
     started: datetime | None = None
     faulty: Mapping[str, BoolArray] = field(default_factory=dict)
 
-    def without(self, name: str) -> Recording:
+    def without(self, dead: str) -> Recording:
         """Return the recording as if a sensor were dead, usable where no other one is faulty."""
-        kept = {one: signal for one, signal in self.sensors().items() if one != name}
-        faulty = {one: where for one, where in self.faulty.items() if one != name}
-        paired, signals, differences = _combined(kept, len(self.usable))
+        living = {name: signal for name, signal in self.sensors().items() if name != dead}
+        faulty = {name: where for name, where in self.faulty.items() if name != dead}
+        paired, signals, differences = _combined(living, len(self.usable))
         usable = np.isfinite(self.speed_m_per_s)
         for where in faulty.values():
             usable &= ~where
@@ -107,24 +106,25 @@ class Recording(ShortRepr):
             self,
             signals=signals,
             usable=usable,
-            faults=(*self.faults, Fault(name, DEAD, len(usable), self.duration_s, 0.0, True)),
+            faults=(*self.faults, Fault(dead, DEAD, len(usable), self.duration_s, 0.0, True)),
             paired=paired,
             differences=differences,
-            elsewhere={one: signal for one, signal in kept.items() if not channel_of(one)},
+            elsewhere=_elsewhere(living),
             faulty=faulty,
         )
 
     def sensors(self) -> dict[str, FloatArray]:
         """Return the signal (n,) of each living one of ``TripManifest.sensors``, by name."""
-        found: dict[str, FloatArray] = {}
+        signals: dict[str, FloatArray] = {}
         differences = iter(self.differences)
+        left, right = SIDES
         for name, signal, is_pair in zip(CHANNELS, self.signals, self.paired, strict=True):
             if is_pair:
                 half = next(differences)
-                found |= {f"{name} {SIDES[0]}": signal + half, f"{name} {SIDES[1]}": signal - half}
+                signals |= {f"{name} {left}": signal + half, f"{name} {right}": signal - half}
             elif name not in self.absent:
-                found[self._alone.get(name, name)] = signal
-        return {**found, **self.elsewhere}
+                signals[self._alone.get(name, name)] = signal
+        return {**signals, **self.elsewhere}
 
     @property
     def absent(self) -> tuple[str, ...]:
@@ -142,17 +142,17 @@ class Recording(ShortRepr):
     def sides(self) -> tuple[str | None, ...]:
         """Side of each channel's only sensor; None for a pair, in the middle, or if unknown."""
         sensors = self.manifest.sensors()
-        given = []
+        sides: list[str | None] = []
         for name, is_pair in zip(CHANNELS, self.paired, strict=True):
             own = sensors.get(self._alone.get(name, name))
-            given.append(None if is_pair or own is None else self.manifest.side_of(own))
-        return tuple(side if side in SIDES else None for side in given)
+            sides.append(None if is_pair or own is None else self.manifest.side_of(own))
+        return tuple(side if side in SIDES else None for side in sides)
 
     @property
     def _alone(self) -> dict[str, str]:
-        """Names of the sensors whose partners are dead, by place."""
+        """Names of the sensors whose partners are dead, by channel."""
         partners = map(partner_of, self.dead)
-        return {channel_of(one): one for one in partners if one and channel_of(one)}
+        return {channel_of(name): name for name in partners if name and channel_of(name)}
 
 
 def load_recording(manifest: TripManifest, rate_hz: float = 100.0) -> Recording:
@@ -192,10 +192,10 @@ def load_recording(manifest: TripManifest, rate_hz: float = 100.0) -> Recording:
             for name in sensors
         }
         streams, dead = living(manifest, read, problems)
-    del read
-    found = joined(manifest, streams, track, offsets.get("speed", 0.0), rate_hz, dead)
+    del read  # it holds the signals a second time
+    recording = joined(manifest, streams, track, offsets.get("speed", 0.0), rate_hz, dead)
     # the date is not known to `joined`, which also serves streams
-    return replace(found, started=started, words=together((found.words, doubt)))
+    return replace(recording, started=started, words=together((recording.words, doubt)))
 
 
 def joined(
@@ -217,10 +217,12 @@ def joined(
         rest = [stream for stream in streams if stream.name not in more]
         return joined(manifest, rest, track, offset_s, rate_hz, {**dead, **more})
 
+    # a sensor of which nearly nothing is usable would leave nothing of the others
     if more := nearly_dead(streams, rate_hz):
         return without(more)
     first, last = _common(manifest, streams, rate_hz)
     times_s = np.arange(first, last + 1) / rate_hz
+    duration_s = len(times_s) / rate_hz
     speed, speed_faults = speed_at(manifest, track, offset_s, times_s)
     # all sensors at the instants of the common clock
     touched = np.zeros(len(times_s), dtype=np.bool_)
@@ -231,25 +233,19 @@ def joined(
         touched |= stream.touched[part]
     # faults between sensors: loose ones first, as they have no clock to compare
     usable = np.isfinite(speed) & ~touched
-    found, loose, silent = find_loose(values, usable, speed, rate_hz, float(times_s[0]))
-    if more := nearly_dead(streams, rate_hz, found):
+    loose_faults, loose, silent = find_loose(values, usable, speed, rate_hz, float(times_s[0]))
+    if more := nearly_dead(streams, rate_hz, loose_faults):
         return without(more)
-    faults = (*(fault for stream in streams for fault in stream.faults), *speed_faults, *found)
-    faults += dead_faults(dead, len(times_s) / rate_hz, rate_hz)
+    own_faults = (fault for stream in streams for fault in stream.faults)
+    faults = (*own_faults, *speed_faults, *loose_faults, *dead_faults(dead, duration_s, rate_hz))
     usable &= ~loose.any(axis=0)
     faulty = {name: own | its for (name, own), its in zip(faulty.items(), loose, strict=True)}
     if not usable.any():
-        raise TripError(
-            at(
-                manifest.path,
-                "nowhere-usable",
-                faults=together(map(str, faults)) or "the speed is never known",
-            )
-        )
+        reasons = together(map(str, faults)) or "the speed is never known"
+        raise TripError.at(manifest.path, "nowhere-usable", faults=reasons)
     faults += clock_faults(manifest, values, usable & ~silent, speed, rate_hz)
     read_as = [track.words if track else "", *(stream.words for stream in streams)]
     paired, signals, differences = _combined(values, len(times_s))
-    duration_s = len(times_s) / rate_hz
     return Recording(
         manifest,
         rate_hz,
@@ -261,8 +257,8 @@ def joined(
         float(times_s[0]),
         paired,
         differences,
-        {name: signal for name, signal in values.items() if not channel_of(name)},
-        together(dict.fromkeys(words for words in read_as if words)),
+        _elsewhere(values),
+        together(dict.fromkeys(read_as)),
         faulty={name: where for name, where in faulty.items() if where.any()},
     )
 
@@ -272,10 +268,10 @@ def _clocks(
 ) -> tuple[SpeedTrack | None, dict[str, float], tuple[datetime | None, str]]:
     """Return the speeds, the clock offsets of sensors and speed [s], and `first_moment`."""
     sensors = manifest.sensors()
-    track, *found = all_of(
+    track, *own = all_of(
         [partial(read_speed, manifest), *(partial(zero_of, manifest, name) for name in sensors)]
     )
-    zeros = dict(zip(sensors, found, strict=True))
+    zeros = dict(zip(sensors, own, strict=True))
     zeros |= {} if track is None else {"speed": track.zero}
     return track, offsets_s(manifest, zeros), first_moment(zeros.values())
 
@@ -285,7 +281,7 @@ def _combined(
 ) -> tuple[tuple[bool, bool, bool], FloatArray, FloatArray]:
     """Return which channels are pairs, signals (3, n), and half differences (n_pairs, n)."""
     signals, differences = [], []
-    places = [[values[one] for one in values if channel_of(one) == place] for place in CHANNELS]
+    places = [[values[name] for name in values if channel_of(name) == c] for c in CHANNELS]
     axle_box, bogie, body = (len(own) == len(SIDES) for own in places)
     paired = axle_box, bogie, body
     for own, is_pair in zip(places, paired, strict=True):
@@ -295,9 +291,14 @@ def _combined(
     return paired, np.stack(signals), np.array(differences).reshape(len(differences), n)
 
 
+def _elsewhere(values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    return {name: signal for name, signal in values.items() if not channel_of(name)}
+
+
 def _read_sensor(
     manifest: TripManifest, name: str, offset_s: float, wanted_hz: float
 ) -> SensorSignal:
+    """Return the signal of one sensor from its file, on the common clock."""
     where, channel = manifest.where(name), manifest.sensors()[name]
     with open_source(manifest, channel, where) as source:
         blocks = source.even(PASS * wanted_hz)
@@ -305,17 +306,15 @@ def _read_sensor(
         rate_hz = source.known_rate_hz
         if rate_hz < 0.99 * wanted_hz:
             unit = "" if source.times is None else source.times.likely_unit(rate_hz)
-            kind, hz = "rate-too-low", None
-            if unit:
-                kind, hz = "rate-too-low-unit", rate_hz / TIME_UNITS[unit]
-            given = {"rate_hz": rate_hz, "wanted_hz": wanted_hz, "unit": unit, "hz": hz}
-            raise TripError(Finding(kind, where=where, **given))
+            kind = "rate-too-low-unit" if unit else "rate-too-low"
+            hz = rate_hz / TIME_UNITS[unit] if unit else None
+            values = {"rate_hz": rate_hz, "wanted_hz": wanted_hz, "unit": unit, "hz": hz}
+            raise TripError(Finding(kind, where=where, **values))
         if rate_hz > HIGHEST_HZ:
-            raise TripError(
-                Finding("rate-too-high", where=where, rate_hz=rate_hz, highest_hz=HIGHEST_HZ)
-            )
+            values = {"rate_hz": rate_hz, "highest_hz": HIGHEST_HZ}
+            raise TripError(Finding("rate-too-high", where=where, **values))
         cleaner = Cleaner(name, rate_hz, source.full_scale)
-        sensor = Sensor(where, cleaner, source.size, wanted_hz)
+        sensor = SensorStream(where, cleaner, source.size, wanted_hz)
         for block in chain([first_block], blocks):
             sensor.push(block)
     sensor.begin(offset_s + channel.start_s + source.first_s, source.known_rate_hz)
@@ -330,68 +329,55 @@ def _common(
     if common_s < SHORTEST_S - 1 / rate_hz:
         spans = together(
             (
-                Finding(
-                    "stream-between", name=stream.name, start_s=stream.start_s, end_s=stream.end_s
-                )
-                for stream in streams
+                Finding("stream-between", name=s.name, start_s=s.start_s, end_s=s.end_s)
+                for s in streams
             ),
             ", ",
         )
-        raise TripError(
-            at(
-                manifest.path,
-                "too-little-in-common",
-                common_s=max(common_s, 0.0),
-                shortest_s=SHORTEST_S,
-                spans=spans,
-            )
-        )
+        times = {"common_s": max(common_s, 0.0), "shortest_s": SHORTEST_S}
+        raise TripError.at(manifest.path, "too-little-in-common", **times, spans=spans)
     first = max(stream.first for stream in streams)
     return first, min(stream.first + len(stream.values) for stream in streams) - 1
 
 
-def followed(one: Recording, other: Recording, offset_s: float) -> Recording:
+def followed(first: Recording, later: Recording, offset_s: float) -> Recording:
     """Return a recording extended by a later one of the same sensors.
 
     The gap between them is marked as unusable; there is one, as filters need samples on both sides.
-    `offset_s` is the zero of the other clock on that of the first.
+    `offset_s` is the zero of the later clock on that of the first.
     """
-    end = round(one.start_s * one.rate_hz) + len(one.usable)
-    n_gap = round((other.start_s + offset_s) * one.rate_hz) - end
+    end = round(first.start_s * first.rate_hz) + len(first.usable)
+    n_gap = round((later.start_s + offset_s) * first.rate_hz) - end
     n_skip = max(-n_gap, 0)  # with a fractional rate they may overlap by one instant
     n_gap = max(n_gap, 0)
-    usable = [one.usable, np.zeros(n_gap, dtype=np.bool_), other.usable[n_skip:]]
-    speeds = [one.speed_m_per_s, np.full(n_gap, np.nan), other.speed_m_per_s[n_skip:]]
-    signals = [one.signals, np.zeros((len(one.signals), n_gap)), other.signals[:, n_skip:]]
-    pairs = [
-        one.differences,
-        np.zeros((len(one.differences), n_gap)),
-        other.differences[:, n_skip:],
-    ]
-    later = (replace(fault, first_s=fault.first_s + offset_s) for fault in other.faults)
-    words = dict.fromkeys(filter(None, (one.words, other.words)))
+
+    # samples of the later one after the gap, each array along its last axis
+    def extended(before: NDArray[Any], after: NDArray[Any], gap: float | bool) -> Any:
+        """Return arrays (..., n) in a row, with a value in the gap."""
+        between = np.full((*before.shape[:-1], n_gap), gap)
+        return np.concatenate([before, between, after[..., n_skip:]], axis=-1)
+
+    def faulty(recording: Recording, name: str) -> BoolArray:
+        return recording.faulty.get(name, np.zeros_like(recording.usable))
+
+    usable = extended(first.usable, later.usable, False)
+    faults = (replace(fault, first_s=fault.first_s + offset_s) for fault in later.faults)
     return replace(
-        one,
-        signals=np.concatenate(signals, axis=1),
-        usable=np.concatenate(usable),
-        speed_m_per_s=np.concatenate(speeds),
-        faults=(*one.faults, *later),
-        duration_s=sum(map(len, usable)) / one.rate_hz,
-        differences=np.concatenate(pairs, axis=1),
+        first,
+        signals=extended(first.signals, later.signals, 0.0),
+        usable=usable,
+        speed_m_per_s=extended(first.speed_m_per_s, later.speed_m_per_s, np.nan),
+        faults=(*first.faults, *faults),
+        duration_s=len(usable) / first.rate_hz,
+        differences=extended(first.differences, later.differences, 0.0),
         elsewhere={
-            name: np.concatenate([own, np.zeros(n_gap), other.elsewhere[name][n_skip:]])
-            for name, own in one.elsewhere.items()
+            name: extended(signal, later.elsewhere[name], 0.0)
+            for name, signal in first.elsewhere.items()
         },
-        words=together(words),
+        words=together(dict.fromkeys((first.words, later.words))),
         faulty={
-            name: np.concatenate(
-                [
-                    one.faulty.get(name, np.zeros_like(one.usable)),
-                    np.zeros(n_gap, dtype=np.bool_),
-                    other.faulty.get(name, np.zeros_like(other.usable))[n_skip:],
-                ]
-            )
-            for name in dict.fromkeys((*one.faulty, *other.faulty))
+            name: extended(faulty(first, name), faulty(later, name), False)
+            for name in dict.fromkeys((*first.faulty, *later.faulty))
         },
     )
 

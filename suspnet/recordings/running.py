@@ -1,20 +1,10 @@
 """A recording that grows while the train runs; its result equals the batch's on the same samples.
 
 The steps up to the common clock are local, so a stream runs the code of the batch as its samples
-arrive (``sensor.py``): spikes, gaps, saturation and dead sensors are found in windows that start at
-fixed samples, whatever the blocks; both filters are finite; the instants of the common clock are
-multiples of ``1 / rate_hz``.
-
-All later steps need the whole recording: clock drift, impossible or stuck speeds, segments of equal
-speed, and segments that are louder than ``LOUD`` medians or less coherent than the others. Signals
-on the common clock are stored for them: 27 bytes per instant of three sensors, 2.7 kB/s at 100 Hz.
-Spectra of segments would be no smaller (with half overlap, up to a quarter of the rate), and sums
-of cross spectra can be formed only once the segments are chosen. `longest_s` therefore bounds the
-recording and its memory.
-
-In addition, each sensor holds the samples of windows that are incomplete or delayed (at most about
-twice ``CORE_SAMPLES`` plus two seconds, 4.3 MB). Many recordings start at the same instant, so the
-cleaning of each sensor is delayed by a time that depends on its name. `Assembler` holds frames.
+arrive (`sensor`): windows of cleaning start at fixed samples, both filters are finite, and the
+instants of the common clock are multiples of ``1 / rate_hz``. All later steps need the whole
+recording. Signals on the common clock are stored for them, 27 bytes per instant of three sensors;
+`longest_s` bounds the recording and its memory.
 
 The rate of a sensor is that of the manifest. If the manifest leaves it to the file, for example to
 a column of times, it is that of the sensor's first frame; the mean rate of such a column, which the
@@ -43,7 +33,7 @@ from suspnet.recordings.frames import Frame, FrameError, end_ns
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.manifest_sources import UNITS, SpeedSource
 from suspnet.recordings.recording import HIGHEST_HZ, Recording, followed, joined
-from suspnet.recordings.sensor import Sensor
+from suspnet.recordings.sensor import SensorStream
 from suspnet.recordings.sources import TIMES_TOLERANCE
 from suspnet.recordings.speed import HIGHEST_RATE_HZ, SpeedTrack, speed_track
 
@@ -60,10 +50,9 @@ class Running:
     rate_hz : float, [Hz]
         Rate of the common clock.
     order : OrderSettings, optional
-    longest_s : float, [s]
-        Frames that start more than this after `zero_ns` are refused; they need a new recording.
-    before_s : float, [s]
-        Frames that start more than this before `zero_ns` are refused.
+    longest_s, before_s : float, [s]
+        Frames that start later than this after `zero_ns`, or earlier than this before it, are
+        refused; they need a new recording.
 
     Attributes
     ----------
@@ -107,12 +96,10 @@ class Running:
             if source.rate_hz is not None and (words := self._rate_problem(name, source.rate_hz)):
                 raise TripError(f"{manifest.path}: {words}")
             if source.unit is None and getattr(source, "range", None) is not None:
-                raise TripError(
-                    f"{manifest.path}: {name!r} has a `range`; write its `unit` to have it read as "
-                    "it comes"
-                )
+                words = "write its `unit` to have it read as it comes"
+                raise TripError(f"{manifest.path}: {name!r} has a `range`; {words}")
         self._orders: dict[str, Assembler] = {}
-        self._sensors: dict[str, Sensor] = {}
+        self._sensors: dict[str, SensorStream] = {}
         self._speeds: list[FloatArray] = []
 
     @property
@@ -131,50 +118,37 @@ class Running:
         return not any(self._orders[name].n_frames for name in self._sensors)
 
     @property
-    def _accelerations(self) -> list[str]:
-        return list(self.manifest.sensors())
-
-    @property
     def n_seconds(self) -> float:
         """Least duration received from an accelerometer, with gaps, [s]; 0 if one sent nothing."""
-        orders = [self._orders.get(name) for name in self._accelerations]
+        orders = [self._orders.get(name) for name in self.manifest.sensors()]
         return min(0.0 if order is None else order.n_samples / order.rate_hz for order in orders)
 
     def add(self, frame: Frame) -> None:
         """Add a frame.
 
-        Raises
-        ------
-        FrameError
-            If its suspension, sensor, rate or unit is another one, or it lies before or after the
-            recording, which then remains unchanged.
+        Raises FrameError if its suspension, sensor, rate or unit is another one, or it lies before
+        or after the recording, which then remains unchanged.
         """
         source = self._sources.get(frame.sensor)
         if source is None or frame.suspension != self._name:
-            raise FrameError(
-                "sensor",
-                f"{self._name!r} has {list(self._sources)}, the frame is of "
-                f"{frame.sensor!r} of {frame.suspension!r}",
-            )
-        found, unit = size_of(source.kind, frame.unit), source.unit
-        if found is None or (unit is not None and abs(found / source.si_size - 1) > 1e-9):
+            words = f"the frame is of {frame.sensor!r} of {frame.suspension!r}"
+            raise FrameError("sensor", f"{self._name!r} has {list(self._sources)}, {words}")
+        # samples are in the manifest's unit, or else in the SI unit
+        size, unit = size_of(source.kind, frame.unit), source.unit
+        if size is None or (unit is not None and abs(size / source.si_size - 1) > 1e-9):
             wanted = unit or f"a unit of {source.kind} like {' or '.join(UNITS[source.kind])}"
-            raise FrameError(
-                "unit", f"{frame.sensor!r} is in {wanted}, its frame in {frame.unit!r}"
-            )
-        if unit is None and found != 1.0:
-            frame = replace(frame, samples=found * frame.samples.astype(np.float64))
+            words = f"{frame.sensor!r} is in {wanted}, its frame in {frame.unit!r}"
+            raise FrameError("unit", words)
+        if unit is None and size != 1.0:
+            frame = replace(frame, samples=size * frame.samples.astype(np.float64))
         begins_s = (frame.time_ns - self.zero_ns) / SECOND_NS
         if not -self.before_s <= begins_s <= self.longest_s:
-            raise FrameError(
-                "time",
-                f"a frame of {frame.sensor!r} begins {begins_s:.6g} s after the recording, which "
-                f"has at most {self.longest_s:g} s",
-            )
-        given = self._order(frame).push(frame)
+            words = f"after the recording, which has at most {self.longest_s:g} s"
+            raise FrameError("time", f"a frame of {frame.sensor!r} begins {begins_s:.6g} s {words}")
+        blocks = self._order(frame).push(frame)
         self.begin_ns = min(self.begin_ns, frame.time_ns)
         self.end_ns = max(self.end_ns, end_ns(frame))
-        self._give(frame.sensor, given)
+        self._give(frame.sensor, blocks)
 
     def _order(self, frame: Frame) -> Assembler:
         """Return the assembler of a frame's sensor; the first frame may set the rate."""
@@ -201,7 +175,7 @@ class Running:
             where = self.manifest.where(name)
             late = zlib.crc32(f"{self._name}, {name}".encode()) / 2**32
             cleaner = Cleaner(name, rate_hz, full_scale, late=late)
-            self._sensors[name] = Sensor(where, cleaner, unit * channel.sign, self.rate_hz)
+            self._sensors[name] = SensorStream(where, cleaner, unit * channel.sign, self.rate_hz)
 
     def _rate_problem(self, name: str, rate_hz: float) -> str:
         """Return why a sensor cannot have this rate; empty if it can."""
@@ -209,10 +183,8 @@ class Running:
         most = 2 * HIGHEST_RATE_HZ if name == "speed" else HIGHEST_HZ
         if least < rate_hz < most:
             return ""
-        return (
-            f"{name!r} needs a rate of {least:g} to {most:g} Hz to be read as it comes, got "
-            f"{rate_hz:g} Hz"
-        )
+        wanted = f"needs a rate of {least:g} to {most:g} Hz to be read as it comes"
+        return f"{name!r} {wanted}, got {rate_hz:g} Hz"
 
     def flush(self) -> None:
         """Add all frames that wait for earlier ones, which then count as missing."""
@@ -223,14 +195,8 @@ class Running:
         """Return the recording of the samples so far, as the batch would.
 
         Its clock starts at the whole second of `begin_ns`. Frames that wait for earlier ones are
-        left out unless `flush` is called first. A `rest` that gives no recording, or
-        one without the same dead sensors, is ignored.
-
-        Raises
-        ------
-        TripError
-            As `load_recording` does: a sensor is dead or missing, the time too short, the speed
-            unknown, or clocks drift against each other.
+        left out unless `flush` is called first. A `rest` that gives no recording, or one without
+        the same dead sensors, is ignored. Raises TripError as `load_recording` does.
         """
         started = [name for name, order in self._orders.items() if order.first_ns is not None]
         missing = [name for name in self._sources if name not in started]
@@ -240,34 +206,43 @@ class Running:
             name: partial(
                 self._sensors[name].signal, (self._clock_ns - self._zero_ns(name)) / SECOND_NS
             )
-            for name in self._accelerations
+            for name in self.manifest.sensors()
         }
         signals, dead = living(self.manifest, read)
-        found = joined(self.manifest, signals, self._track(), 0.0, self.rate_hz, dead)
+        recording = joined(self.manifest, signals, self._track(), 0.0, self.rate_hz, dead)
         if self.rest is None:
-            return found
+            return recording
         try:
             rest = self.rest.recording()
         except TripError:
-            return found
-        if rest.dead != found.dead:
-            return found
-        return followed(found, rest, (self.rest._clock_ns - self._clock_ns) / SECOND_NS)
+            return recording
+        if rest.dead != recording.dead:
+            return recording
+        return followed(recording, rest, (self.rest._clock_ns - self._clock_ns) / SECOND_NS)
 
     @property
     def _clock_ns(self) -> int:
         """Zero of the recording's clock, since 1970, [ns]."""
-        return _second(self.begin_ns) if self.rate_hz.is_integer() else self.zero_ns
+        return self._whole_second(self.begin_ns)
 
     def _zero_ns(self, name: str) -> int:
         """Return the zero of a sensor's clock, since 1970, [ns].
 
         It is the whole second of the sensor's own first sample, so that the result does not depend
-        on the order of frames. Whole seconds are common instants if the rate is a whole number.
+        on the order of frames.
         """
+        return self._whole_second(self._first_ns(name))
+
+    def _whole_second(self, time_ns: int) -> int:
+        """Round a time down to a common instant: a second if the rate is a whole number, [ns]."""
+        if self.rate_hz.is_integer():
+            return time_ns // SECOND_NS * SECOND_NS
+        return self.zero_ns
+
+    def _first_ns(self, name: str) -> int:
         first_ns = self._orders[name].first_ns
-        assert first_ns is not None
-        return _second(first_ns) if self.rate_hz.is_integer() else self.zero_ns
+        assert first_ns is not None  # the sensor has sent samples
+        return first_ns
 
     def _give(self, name: str, blocks: list[FloatArray]) -> None:
         if name == "speed":
@@ -275,16 +250,10 @@ class Running:
             return
         sensor = self._sensors[name]
         if blocks and sensor.start_s is None:
-            start_s = self._start_s(name, self._zero_ns(name))
+            start_s = (self._first_ns(name) - self._zero_ns(name)) / SECOND_NS
             sensor.begin(start_s, self._orders[name].rate_hz)
         for block in blocks:
             sensor.push(block)
-
-    def _start_s(self, name: str, zero_ns: int) -> float:
-        """Return the time of a sensor's first sample on a clock, [s]."""
-        first_ns = self._orders[name].first_ns
-        assert first_ns is not None
-        return (first_ns - zero_ns) / SECOND_NS
 
     def _track(self) -> SpeedTrack | None:
         """Return the speeds so far, as the batch reads them; None if the speed is constant."""
@@ -294,7 +263,7 @@ class Running:
         rate_hz = self._orders["speed"].rate_hz
         self._speeds = [np.concatenate(self._speeds)]
         speeds = source.si_size * self._speeds[0]
-        start_s = self._start_s("speed", self._clock_ns)
+        start_s = (self._first_ns("speed") - self._clock_ns) / SECOND_NS
         return speed_track(np.arange(len(speeds)) / rate_hz, speeds, start_s, rate_hz)
 
     def state(self) -> dict[str, Any]:
@@ -322,13 +291,8 @@ class Running:
     def identity(self) -> list[Any]:
         """Values that a state must share with the recording that continues it."""
         sensors = {
-            name: [one.unit, one.rate_hz, getattr(one, "sign", 1), getattr(one, "range", None)]
-            for name, one in self._sources.items()
+            name: [own.unit, own.rate_hz, getattr(own, "sign", 1), getattr(own, "range", None)]
+            for name, own in self._sources.items()
         }
         settings = [self.rate_hz, self.longest_s, self.before_s, asdict(self.order)]
         return [self._name, self.zero_ns, sensors, *settings]
-
-
-def _second(time_ns: int) -> int:
-    """Round a time down to a whole second, [ns]."""
-    return time_ns // SECOND_NS * SECOND_NS

@@ -46,7 +46,7 @@ class SensorSignal:
     words: str = ""
 
 
-class Sensor:
+class SensorStream:
     """Cleans one sensor and resamples it to the common clock, block by block.
 
     The result does not depend on how the signal is cut into blocks, up to rounding (1e-12). The
@@ -251,13 +251,14 @@ class Resampler:
             return np.empty(0), np.empty(0, dtype=np.bool_)
         positions = self._positions(np.arange(self.next, last + 1))
         positions -= self.n_before  # exact: a whole number, not larger than the positions
-        found = interpolate(self.held, self.held_touched, positions, self.oversampling)
+        values, touched = interpolate(self.held, self.held_touched, positions, self.oversampling)
         self.next = last + 1
         (following,) = self._positions(np.array([self.next]))
+        # keep what the next instant needs
         spare = max(math.floor(following) - self.half - self.n_before, 0)
         self.held, self.held_touched = self.held[spare:].copy(), self.held_touched[spare:].copy()
         self.n_before += spare
-        return found
+        return values, touched
 
     def _instant(self, position: int) -> float:
         seconds = self.start_s + (self.first + position * self.factor) / self.input_rate_hz

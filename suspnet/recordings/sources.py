@@ -10,14 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from suspnet.ground.findings import Finding, at, together
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.clocks import Times, Zero, header_date
 from suspnet.recordings.columns import BLOCK, Column, OpenFile, agreed_size, choose, size_of
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_file, read_columns
 from suspnet.recordings.manifest import TripManifest
-from suspnet.recordings.manifest_sources import Channel, Source
+from suspnet.recordings.manifest_sources import FileSource, SensorSource
 from suspnet.recordings.uneven import POINTS, Grid, Line
 
 RATE_TOLERANCE = 1e-4
@@ -34,23 +34,11 @@ GAP_STEPS = 1.5
 class OpenSource:
     """A source that is open for reading.
 
-    Attributes
-    ----------
-    size : float
-        Factor from stored values to SI units, including the sign and, for fractions of full scale,
-        the range.
-    rate_hz : float or None, [Hz]
-        Stated rate; None if only the times give it.
-    times : Times or None
-        Converter of the times; None if the source is evenly sampled.
-    stated : Zero
-        Origin by the file's header.
-    full_scale : float or None, [m/s2]
-        Largest magnitude of an acceleration.
-    stated_words : str
-        How the file is read, as known when it was opened.
-    where : str
-        Name of the source in errors.
+    `size` is the factor from stored values to SI units, including the sign and, for fractions of
+    full scale, the range; `full_scale` the largest magnitude of an acceleration [m/s2]. `rate_hz`
+    is None if only the times give it, `times` None if the source is evenly sampled. `stated` is the
+    origin by the file's header. `stated_words` state how the file is read, as known when it was
+    opened. `where` names the source in errors.
     """
 
     path: Path
@@ -70,8 +58,7 @@ class OpenSource:
         """How the file is read, and what was repaired in the blocks so far."""
         repaired = [] if self.times is None else self.times.words
         uneven = "" if self.timeline is None else self.timeline.words
-        parts = (self.stated_words, *self.file.remarks, *repaired, uneven)
-        return together(part for part in parts if part)
+        return together((self.stated_words, *self.file.remarks, *repaired, uneven))
 
     @property
     def zero(self) -> Zero:
@@ -97,7 +84,7 @@ class OpenSource:
             n_rows += len(values)
             yield seconds, values
         if self.times is not None and not n_rows:
-            raise TripError(at(self.where, "times-empty"))
+            raise TripError.at(self.where, "times-empty")
 
     def even(self, band_hz: float = BAND_HZ) -> Iterator[FloatArray]:
         """Yield evenly sampled values in the source's unit; NaN where times are missing.
@@ -128,7 +115,7 @@ class OpenSource:
 
 
 @contextmanager
-def open_source(manifest: TripManifest, source: Source, where: str) -> Iterator[OpenSource]:
+def open_source(manifest: TripManifest, source: FileSource, where: str) -> Iterator[OpenSource]:
     """Open a channel or the speed of a trip.
 
     `where` names the source in errors. Raises TripError if the file cannot be read or contradicts
@@ -140,18 +127,12 @@ def open_source(manifest: TripManifest, source: Source, where: str) -> Iterator[
         name = choose(path, file, columns)[-1]
         column = file.column(name)
         if column.is_time:
-            raise TripError(at(path, "column-of-times", name=repr(name)))
+            raise TripError.at(path, "column-of-times", name=repr(name))
         # rate and times by the manifest, the file, or else its only column of time stamps
         rate_hz = _agreed_rate(where, source.rate_hz, column)
         time = source.time or column.time
         if time is None and rate_hz is None:
-            stamps = [one.name for one in file.columns if one.is_time]
-            time = stamps[0] if len(stamps) == 1 else None
-        if time is None and rate_hz is None:
-            for one in (one for one in file.columns if one.unread):
-                given = {"file": path.name, "name": repr(one.name), "unread": one.unread}
-                raise TripError(Finding("needs-rate-but", where=where, **given))
-            raise TripError(Finding("rate-missing", where=where, name=path.name))
+            time = _only_stamps(where, path, file)
         # factor to SI units, and the sensor's range in them
         size, words = _size(where, source, column)
         full_scale = getattr(source, "range", None)
@@ -162,7 +143,7 @@ def open_source(manifest: TripManifest, source: Source, where: str) -> Iterator[
             choose(path, file, [time])
             times = Times(where, source, file.column(time), column.start_ns)
         elif source.time_unit is not None or source.time_zone is not None:
-            raise TripError(at(where, "time-keys-without-time"))
+            raise TripError.at(where, "time-keys-without-time")
         yield OpenSource(
             path,
             file,
@@ -172,24 +153,36 @@ def open_source(manifest: TripManifest, source: Source, where: str) -> Iterator[
             times,
             Zero(column.start_ns, not column.is_local, is_stated=True, date=header_date(column)),
             full_scale,
-            together(part for part in (file.words, words) if part),
+            together((file.words, words)),
             where,
             None if times is None else Timeline(where, rate_hz),
         )
 
 
+def _only_stamps(where: str, path: Path, file: OpenFile) -> str:
+    """Return the only column of time stamps; TripError if there are none or several."""
+    stamps = [column.name for column in file.columns if column.is_time]
+    if len(stamps) == 1:
+        return stamps[0]
+    unread = next((column for column in file.columns if column.unread), None)
+    if unread is None:
+        raise TripError(Finding("rate-missing", where=where, name=path.name))
+    values = {"file": path.name, "name": repr(unread.name), "unread": unread.unread}
+    raise TripError(Finding("needs-rate-but", where=where, **values))
+
+
 def _agreed_rate(where: str, stated_hz: float | None, column: Column) -> float | None:
     """Return the rate of the manifest or else of the file; TripError if they differ."""
-    found_hz = column.rate_hz
-    if stated_hz is None or found_hz is None:
-        return stated_hz or found_hz
-    most = max(RATE_TOLERANCE * found_hz, WHOLE_HZ if column.is_whole_rate else 0)
-    if abs(stated_hz - found_hz) > most:
-        raise TripError(at(where, "rate-differs", stated_hz=stated_hz, found_hz=found_hz))
+    own_hz = column.rate_hz
+    if stated_hz is None or own_hz is None:
+        return stated_hz or own_hz
+    most = max(RATE_TOLERANCE * own_hz, WHOLE_HZ if column.is_whole_rate else 0)
+    if abs(stated_hz - own_hz) > most:
+        raise TripError.at(where, "rate-differs", stated_hz=stated_hz, found_hz=own_hz)
     return stated_hz
 
 
-def _size(where: str, source: Source, column: Column) -> tuple[float, str]:
+def _size(where: str, source: FileSource, column: Column) -> tuple[float, str]:
     """Return the factor to SI units, and a remark if the file's unit is unknown."""
     size = agreed_size(where, source.kind, source.unit, column.unit)
     words = ""
@@ -198,10 +191,10 @@ def _size(where: str, source: Source, column: Column) -> tuple[float, str]:
             "unit-taken", name=repr(column.name), unit=source.unit, unit2=repr(column.unit)
         )
     if column.full_scale is not None:
-        if not isinstance(source, Channel) or source.range is None:
-            raise TripError(at(where, "range-missing", name=repr(column.name)))
+        if not isinstance(source, SensorSource) or source.range is None:
+            raise TripError.at(where, "range-missing", name=repr(column.name))
         size *= source.range
-    return size * (source.sign if isinstance(source, Channel) else 1), words
+    return size * (source.sign if isinstance(source, SensorSource) else 1), words
 
 
 def zero_of(manifest: TripManifest, name: str) -> Zero:
@@ -252,6 +245,7 @@ class Timeline:
         gaps above ``LONGEST_GAP_S``, are too uneven, or differ from the stated rate by more than
         ``TIMES_TOLERANCE``.
         """
+        # blocks of one size: the result must not depend on how the stream is cut
         for times, values in _recut(blocks):
             before = None if np.isnan(self._last_s) else self._last_s
             check_rising(self.where, times, before)
@@ -260,6 +254,7 @@ class Timeline:
             steps = np.diff(times, prepend=times[0] if before is None else before)
             if np.isnan(self._usual_s) and len(times) > 1:
                 self._usual_s = float(np.median(steps[1:]))
+            # times on a line keep their samples; from the first block off it on, interpolate
             if self._grid is None:
                 filled = self._filled(times, steps, values)
                 if filled is None:
@@ -283,6 +278,7 @@ class Timeline:
 
         `steps` are those to each sample.
         """
+        # the mean rate so far without gaps gives the number of samples that each gap lacks
         is_gap = steps > GAP_STEPS * self._usual_s
         n_first = int(np.isnan(self._last_s))  # the very first sample follows no step
         n_steps = self._n_steps + int(np.count_nonzero(~is_gap)) - n_first
@@ -294,8 +290,8 @@ class Timeline:
         whole = np.maximum.accumulate(np.round(exact))
         if len(whole):
             numbers += np.append(0, whole).astype(np.intp)[np.cumsum(is_gap)]
-        without = steps[n_first:][~is_gap[n_first:]]
-        if not self._line.holds(numbers, times, without, self.band_hz):
+        even_steps = steps[n_first:][~is_gap[n_first:]]
+        if not self._line.holds(numbers, times, even_steps, self.band_hz):
             return None
         check_gaps(self.where, steps[is_gap])
         check_rate(self.where, self.stated_rate_hz, rate_hz)
@@ -322,7 +318,7 @@ class Timeline:
 def check_rising(where: str, times: FloatArray, before: float | None = None) -> None:
     """Raise TripError unless times are finite and increase, also from the one before them."""
     if not np.isfinite(times).all():
-        raise TripError(at(where, "times-not-finite"))
+        raise TripError.at(where, "times-not-finite")
     all_times = times if before is None else np.concatenate([[before], times])
     fall = np.flatnonzero(all_times[1:] <= all_times[:-1])
     if len(fall):
@@ -330,21 +326,19 @@ def check_rising(where: str, times: FloatArray, before: float | None = None) -> 
         reason = "are they rounded too coarsely, or stored in single precision?"
         if later < earlier:
             reason = Finding("clock-steps-back", later=earlier - later)
-        raise TripError(at(where, "times-do-not-rise", later=later, earlier=earlier, reason=reason))
+        raise TripError.at(where, "times-do-not-rise", later=later, earlier=earlier, reason=reason)
 
 
 def check_gaps(where: str, gaps_s: FloatArray) -> None:
     """Raise TripError if gaps are longer than ``LONGEST_GAP_S`` in all."""
     if gaps_s.sum() > LONGEST_GAP_S:
-        raise TripError(at(where, "gaps-too-long", sum=gaps_s.sum(), longest_gap_s=LONGEST_GAP_S))
+        raise TripError.at(where, "gaps-too-long", sum=gaps_s.sum(), longest_gap_s=LONGEST_GAP_S)
 
 
-def check_rate(where: str, stated_hz: float | None, found_hz: float) -> None:
+def check_rate(where: str, stated_hz: float | None, times_hz: float) -> None:
     """Raise TripError if a stated rate differs from that of the time stamps."""
-    if stated_hz is not None and abs(found_hz - stated_hz) > TIMES_TOLERANCE * stated_hz:
-        raise TripError(
-            at(where, "rate-differs-from-times", stated_hz=stated_hz, found_hz=found_hz)
-        )
+    if stated_hz is not None and abs(times_hz - stated_hz) > TIMES_TOLERANCE * stated_hz:
+        raise TripError.at(where, "rate-differs-from-times", stated_hz=stated_hz, found_hz=times_hz)
 
 
 def _recut(blocks: Iterable[tuple[FloatArray, ...]]) -> Iterator[tuple[FloatArray, ...]]:

@@ -8,7 +8,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from suspnet.ground.findings import at
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.clocks import Zero
@@ -44,11 +43,10 @@ other steps from which its noise is estimated."""
 
 @dataclass(frozen=True)
 class SpeedTrack:
-    """Recorded speeds.
+    """Recorded speeds (n_known,) [m/s] at `seconds` (n_known,) since `zero`.
 
-    `seconds`: (n_known,), since `zero`, including the manifest's `start_s`. `speeds`: (n_known,),
-    [m/s]. `step_s`: usual time step, infinite for a single speed without a rate. `words` states how
-    the file is read.
+    `seconds` include the manifest's `start_s`. `step_s` is the usual time step, infinite for a
+    single speed without a rate. `words` states how the file is read.
     """
 
     seconds: FloatArray
@@ -66,14 +64,14 @@ def read_speed(manifest: TripManifest) -> SpeedTrack | None:
     source = manifest.speed
     if not isinstance(source, SpeedSource):
         if source > LARGEST_SPEED_M_PER_S:
-            raise TripError(at(manifest.path, "speed-too-high", source=source, source2=source))
+            raise TripError.at(manifest.path, "speed-too-high", source=source, source2=source)
         return None
     where = manifest.where("speed")
     with open_source(manifest, source, where) as file:
         parts = list(_thinned(_timed(file, where)))
         seconds, speeds = (np.concatenate(part) for part in zip(*parts, strict=True))
-        found = speed_track(seconds, file.size * speeds, source.start_s, file.rate_hz)
-        return replace(found, zero=file.zero, words=file.words)
+        track = speed_track(seconds, file.size * speeds, source.start_s, file.rate_hz)
+        return replace(track, zero=file.zero, words=file.words)
 
 
 def speed_track(
@@ -97,6 +95,7 @@ def speed_at(
     if track is None:
         assert isinstance(manifest.speed, float)  # otherwise there is a track
         return np.full(len(times_s), manifest.speed), ()
+    # wrong values first, as a receiver is stuck only among plausible ones
     known_s = track.seconds + offset_s
     missing = ~((track.speeds >= 0) & (track.speeds <= LARGEST_SPEED_M_PER_S))
     zero, jump = find_wrong_speeds(known_s, np.where(missing, np.nan, track.speeds))
@@ -104,22 +103,21 @@ def speed_at(
     stuck = find_stuck(known_s, speed)
     speed[stuck] = np.nan
     # interpolate, but not beyond the ends or across long gaps
-    found = np.interp(times_s, known_s, speed)
-    found[(times_s < known_s[0] - track.step_s) | (times_s > known_s[-1] + track.step_s)] = np.nan
+    result = np.interp(times_s, known_s, speed)
+    result[(times_s < known_s[0] - track.step_s) | (times_s > known_s[-1] + track.step_s)] = np.nan
     if len(known_s) > 1:
         after = np.clip(np.searchsorted(known_s, times_s), 1, len(known_s) - 1)
-        found[np.diff(known_s)[after - 1] > LONGEST_SPEED_GAP_S] = np.nan
-    if np.isnan(found).all():
-        raise TripError(
-            at(manifest.path, "speed-never-usable", largest_speed_m_per_s=LARGEST_SPEED_M_PER_S)
-        )
+        result[np.diff(known_s)[after - 1] > LONGEST_SPEED_GAP_S] = np.nan
+    if np.isnan(result).all():
+        largest = {"largest_speed_m_per_s": LARGEST_SPEED_M_PER_S}
+        raise TripError.at(manifest.path, "speed-never-usable", **largest)
     inside = (known_s >= times_s[0]) & (known_s <= times_s[-1])
     faults = [
         Fault("speed", kind, n, n * track.step_s, float(known_s[mask & inside][0]), False)
         for kind, mask in (("gap", missing), ("zero", zero), ("jump", jump), ("stuck", stuck))
         if (n := int(np.count_nonzero(mask & inside)))
     ]
-    return found, (*_lost_rows(known_s, inside, track.step_s), *faults)
+    return result, (*_lost_rows(known_s, inside, track.step_s), *faults)
 
 
 def find_wrong_speeds(known_s: FloatArray, speeds: FloatArray) -> tuple[BoolArray, BoolArray]:

@@ -29,7 +29,7 @@ DATES = (
     r"(?P<year>\d{4})[-/.:](?P<month>\d\d?)[-/.:](?P<day>\d\d?)",
     r"(?P<day>\d\d?)\. ?(?P<month>\d\d?)\. ?(?P<year>\d{4})",
     rf"(?P<day>\d\d?)[-. /]{{0,2}}{_NAME}[-. /]{{0,2}}(?P<year>\d{{4}}|\d\d)",
-    r"(?P<one>\d\d?)/(?P<other>\d\d?)/(?P<year>\d{4})",
+    r"(?P<first>\d\d?)/(?P<other>\d\d?)/(?P<year>\d{4})",
 )
 """Dates; the last one leaves open which number is the day, unless one is above 12."""
 _SECOND = r":(?P<second>\d\d)(?:[.,:](?P<fraction>\d{1,9}))?"
@@ -78,20 +78,20 @@ class Notation:
 
 
 def _match(text: str) -> tuple[int, re.Match[str]] | None:
-    found = ((i, pattern.fullmatch(text)) for i, pattern in enumerate(_PATTERNS))
-    return next(((i, match) for i, match in found if match is not None), None)
+    matches = ((i, pattern.fullmatch(text)) for i, pattern in enumerate(_PATTERNS))
+    return next(((i, match) for i, match in matches if match is not None), None)
 
 
 def notation_of(text: str) -> Notation | None:
     """Return how a time stamp is written; None if a text is none."""
-    found = _match(text)
-    if found is None:
+    matched = _match(text)
+    if matched is None:
         return None
-    pattern, match = found
+    pattern, match = matched
     fields = match.groupdict()
     is_dated = bool(fields.get("year"))
-    if fields.get("one"):
-        is_dated = max(int(fields["one"]), int(fields["other"])) > 12
+    if fields.get("first"):
+        is_dated = max(int(fields["first"]), int(fields["other"])) > 12
     return Notation(pattern, bool(fields.get("zone")), is_dated)
 
 
@@ -103,17 +103,16 @@ def read_stamps(
     Stamp i is ``letters[ends[i] : ends[i + 1]]``, ASCII without blanks at its ends. `day` is that
     of stamps without a date. Stamps of one layout are read at once, digit by digit of all of them.
 
-    Raises
-    ------
-    ValueError
-        If a stamp is not written in this notation, or is no valid time; the text names it.
+    Raises ValueError, whose text is the stamp, if one is not written in this notation or is no
+    valid time.
     """
     starts, widths = ends[:-1], np.diff(ends)
-    found = np.empty(len(starts), dtype=np.int64)
+    stamps = np.empty(len(starts), dtype=np.int64)
     rest = np.arange(len(starts))
     for _ in range(MOST_LAYOUTS):
         if not len(rest):
-            return found
+            return stamps
+        # the first of the rest gives the next layout
         first = rest[0]
         text = letters[starts[first] : ends[first + 1]].tobytes().decode("latin-1")
         match = _match(text)
@@ -137,7 +136,7 @@ def read_stamps(
         if not same.all():
             places = places[:, same]
         values, is_valid = _nanoseconds(places - ZERO, match[1], notation, day)
-        found[at[same]] = values
+        stamps[at[same]] = values
         if not is_valid.all():
             wrong = places[:, int(is_valid.argmin())]
             raise ValueError(wrong.tobytes().decode("latin-1"))
@@ -187,10 +186,10 @@ def _days(
     month, of_month = number("month"), number("day")
     is_valid = (year >= YEARS[0]) & (year <= YEARS[1])
     if name := fields.get("name"):
-        month += next(i for i, one in enumerate(MONTHS, 1) if name.lower() in one.split("|"))
-    elif "one" in fields:
-        one, other = number("one"), number("other")
-        month, of_month = np.minimum(one, other), np.maximum(one, other)
+        month += next(i for i, names in enumerate(MONTHS, 1) if name.lower() in names.split("|"))
+    elif "first" in fields:
+        first, other = number("first"), number("other")
+        month, of_month = np.minimum(first, other), np.maximum(first, other)
         is_valid &= of_month > 12
     months = (year - 1970).astype("datetime64[Y]").astype("datetime64[M]") + (month - 1)
     days = months.astype("datetime64[D]") + (of_month - 1)

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from suspnet.ground.findings import Finding, at
+from suspnet.ground.findings import Finding
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.faults import find_gaps
@@ -86,9 +86,9 @@ def _resolution(steps_s: FloatArray, least_s: float) -> float:
     if np.abs(multiples - np.round(multiples)).max() > 0.05:
         return 0.0
     # numbers have so many decimals or bits; single precision has fewer at late times
-    for found in (float(ordered[-1] - ordered[0]), float(apart.min())):
-        if any(abs(power - round(power)) < 1e-3 for power in (math.log10(found), math.log2(found))):
-            return found
+    for step in (float(ordered[-1] - ordered[0]), float(apart.min())):
+        if any(abs(power - round(power)) < 1e-3 for power in (math.log10(step), math.log2(step))):
+            return step
     return 0.0
 
 
@@ -173,27 +173,21 @@ class Grid:
         # sums of differences, so that equal samples stay equal
         values = self._values[around[is_known]]
         level = values[:, half - 1]
-        found = np.full(len(instants), np.nan)
-        found[is_known] = level + np.einsum("ij,ij->i", weights, values - level[:, None])
+        result = np.full(len(instants), np.nan)
+        result[is_known] = level + np.einsum("ij,ij->i", weights, values - level[:, None])
+        # the error of a sine at the end of the band, by the same weights
         turned = np.exp(2j * math.pi * self.band_hz * to_samples[is_known])
         errors = np.abs(np.einsum("ij,ij->i", weights, turned) - 1)
         self._sum_of_squares += float(np.square(errors).sum())
         self._n_summed += len(errors)
-        return found
+        return result
 
     def _check(self) -> None:
         error = math.sqrt(self._sum_of_squares / max(self._n_summed, 1))
         if error > MOST_ERROR:
-            raise TripError(
-                at(
-                    self.where,
-                    "too-uneven",
-                    uneven=self._uneven,
-                    band_hz=self.band_hz,
-                    error=100 * error,
-                    most_error=100 * MOST_ERROR,
-                )
-            )
+            errors = {"error": 100 * error, "most_error": 100 * MOST_ERROR}
+            values = {"uneven": self._uneven, "band_hz": self.band_hz} | errors
+            raise TripError.at(self.where, "too-uneven", **values)
 
 
 def _weights(offsets: FloatArray) -> FloatArray:

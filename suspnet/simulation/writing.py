@@ -34,7 +34,7 @@ from suspnet.ground.types import FloatArray
 from suspnet.ground.workers import LostWorkerError, each, workers_for
 from suspnet.recordings.manifest import CHANNELS, TripManifest
 from suspnet.recordings.manifest_files import write_manifest
-from suspnet.recordings.manifest_sources import Channel, Pair, SpeedSource
+from suspnet.recordings.manifest_sources import Pair, SensorSource, SpeedSource
 from suspnet.simulation.fleet import FIRST_DAY, Aboard, Fleet, Scenario, SimulatedSuspension, Trains
 from suspnet.simulation.folders import TRUTH, is_finished, is_whole, own_folder, unfinished
 from suspnet.simulation.signals import Journey, profile_length_m, simulate_trip
@@ -298,18 +298,18 @@ def _write_channels(
     signals: FloatArray,
     rate_hz: float,
     noise: np.random.SeedSequence,
-) -> dict[str, Channel | Pair]:
+) -> dict[str, SensorSource | Pair]:
     """Write the sensors' recordings of signals (3 or 6, n_samples), and return their channels."""
     rng = np.random.default_rng(noise)
     sensors = fleet.loggers()
-    channels: dict[str, Channel | Pair] = {}
+    channels: dict[str, SensorSource | Pair] = {}
     for i, channel in enumerate(CHANNELS):
         sensor, file = sensors[channel], f"{name}/{channel}.parquet"
         recorded = [
             sensor.record(_resampled(signal, rate_hz, sensor.rate_hz), rng).astype(np.float32)
             for signal in signals[i::3]
         ]
-        source = Channel(file, "m/s2", rate_hz=sensor.rate_hz, range=sensor.range_m_per_s2)
+        source = SensorSource(file, "m/s2", rate_hz=sensor.rate_hz, range=sensor.range_m_per_s2)
         if len(recorded) == 1:
             columns = {"acceleration": recorded[0]}
             side = SIDES[0 if system.lateral_m[i] > 0 else 1] if system.lateral_m[i] else None

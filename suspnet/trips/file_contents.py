@@ -17,7 +17,7 @@ from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_file, read_columns
 from suspnet.recordings.logger_notes import WORDS, choice_of, key_of
 from suspnet.recordings.manifest import CHANNELS
-from suspnet.recordings.manifest_sources import TIME_UNITS, Source
+from suspnet.recordings.manifest_sources import TIME_UNITS, FileSource
 
 ACCELERATION, SPEED = "acceleration", "speed"
 ABOUT_TRIP = ("mileage_km", "direction")
@@ -279,7 +279,7 @@ def _signal(
     values = blocks[0][np.isfinite(blocks[0])]
     time, time_unit, rate_hz = "", "", column.rate_hz
     if rate_hz is None:
-        shared = (name for name in times if not opened.column(name).is_part)
+        shared = (name for name in times if not opened.column(name).is_by_name)
         time = column.time or next(shared, "")
         rate_hz, time_unit = _rate(opened, time, times[time]) if time in times else (np.nan, "")
     if time and not time_unit and guessed_meaning(column.name) != SPEED:
@@ -306,7 +306,7 @@ def _zero(file: Path, opened: OpenFile, column: Column, time: str, time_unit: st
         return Zero(column.start_ns, not column.is_local, True, header_date(column))
     times = Times(
         str(file),
-        Source(str(file), time_unit=time_unit or None),
+        FileSource(str(file), time_unit=time_unit or None),
         opened.column(time),
         column.start_ns,
     )

@@ -33,7 +33,7 @@ from suspnet.ground.parameters import COMPONENTS
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.manifest_sources import Channel
+from suspnet.recordings.manifest_sources import SensorSource
 from suspnet.recordings.recording import joined, load_recording
 from suspnet.recordings.sensor import SensorSignal
 from suspnet.runs import commissioning
@@ -203,7 +203,7 @@ SEVEN_VEHICLE = SpatialVehicle(AM96, sensors=PLACES_OF_SEVEN)
 def manifest_of(layout):
     """Return the manifest of a trip with sensors at these sides and axles."""
     channels = {
-        name: tuple(Channel("all.mat", side=side, axle=axle) for side, axle in own)
+        name: tuple(SensorSource("all.mat", side=side, axle=axle) for side, axle in own)
         for name, own in layout.items()
     }
     names = {"vehicle": "am96", "suspension": "a", "mileage_km": 1.0, "speed": 70.0}

@@ -16,7 +16,7 @@ from suspnet.recordings.columns import Column
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.manifest_sources import Channel, Source
+from suspnet.recordings.manifest_sources import FileSource, SensorSource
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.trips.file_contents import contents_of
 
@@ -54,7 +54,7 @@ WAYS = {
 }
 
 
-def write(folder: Path, times: dict, said: dict | None = None, **changes) -> Path:
+def write(folder: Path, times: dict, stated: dict | None = None, **changes) -> Path:
     """Write a trip whose times are given by source; None takes the time column away."""
     sources = {}
     for name in (*CHANNELS, "speed"):
@@ -64,7 +64,7 @@ def write(folder: Path, times: dict, said: dict | None = None, **changes) -> Pat
         sources[name] = {"file": f"{name}.parquet", "column": "a"}
         sources[name]["unit"] = "m/s" if name == "speed" else "m/s2"
         timing = {"time": "t"} if times[name] is not None else {"rate_hz": len(values) / 70}
-        sources[name] |= timing | (said or {}).get(name, {})
+        sources[name] |= timing | (stated or {}).get(name, {})
     speed = sources.pop("speed")
     content = {"format": "suspnet-trip-1", "vehicle": "am96", "suspension": "car 7"}
     content |= {"mileage_km": 1.0, "speed": speed, "channels": sources} | changes
@@ -88,15 +88,10 @@ def assert_aligned(recording: Recording, first_s: float = 0.0) -> None:
 
 
 @pytest.mark.representatives(3)
-@pytest.mark.parametrize("way", WAYS)
-def test_dated_sources_are_aligned(tmp_path, way):
-    path = write(tmp_path, {name: WAYS[way](name) for name in LATE_S})
-    assert_aligned(load(path), 2.0)  # the speed's clock is the first
-
-
-def test_dated_sources_of_any_kind_are_aligned(tmp_path):
-    ways = dict(zip(LATE_S, ("milliseconds", "zoned", "utc", "seconds"), strict=True))
-    assert_aligned(load(write(tmp_path, {n: WAYS[way](n) for n, way in ways.items()})), 2.0)
+@pytest.mark.parametrize("ways", [*([way] * 4 for way in WAYS), list(WAYS)[:4], list(WAYS)[2:]])
+def test_dated_sources_are_aligned(tmp_path, ways):
+    times = {name: WAYS[way](name) for name, way in zip(LATE_S, ways, strict=True)}
+    assert_aligned(load(write(tmp_path, times)), 2.0)  # the speed's clock is the first
 
 
 def test_start_dates_what_has_no_date(tmp_path):
@@ -110,8 +105,8 @@ def test_start_dates_what_has_no_date(tmp_path):
 def test_local_times_are_aligned_by_their_zone(tmp_path):
     times = {name: stamped(name, "UTC") for name in LATE_S}
     times |= {"bogie": stamped("bogie", None, 2.0), "body": stamped("body", None, -3.5)}
-    said = {"bogie": {"time_zone": "Europe/Berlin"}, "body": {"time_zone": "-03:30"}}
-    assert_aligned(load(write(tmp_path, times, said)), 2.0)
+    stated = {"bogie": {"time_zone": "Europe/Berlin"}, "body": {"time_zone": "-03:30"}}
+    assert_aligned(load(write(tmp_path, times, stated)), 2.0)
     assert_aligned(load(write(tmp_path, {name: stamped(name, None) for name in LATE_S})), 2.0)
 
 
@@ -153,7 +148,7 @@ def test_equal_headers_begin_with_the_trip():
      ({}, None, 1.0), ({"time_unit": "s"}, "V", 1.0), ({}, "minutes", 60.0)],
 )  # fmt: skip
 def test_numbers_are_in_their_unit(source, unit, size):
-    times = Times("here", Source("f", time="t", **source), Column("t", unit), None)
+    times = Times("here", FileSource("f", time="t", **source), Column("t", unit), None)
     np.testing.assert_allclose(
         times.seconds(np.array([5.0, 7.0, np.nan])), [5 * size, 7 * size, np.nan]
     )
@@ -162,7 +157,7 @@ def test_numbers_are_in_their_unit(source, unit, size):
 
 @pytest.mark.parametrize(("zone", "ahead_s"), [(None, 0), ("+02:00", 7200)])
 def test_local_start_of_a_header_takes_the_zone_of_the_manifest(zone, ahead_s):
-    source, column = Source("f", time="t", time_zone=zone), Column("t", "s", is_local=True)
+    source, column = FileSource("f", time="t", time_zone=zone), Column("t", "s", is_local=True)
     times = Times("here", source, column, 1714983330 * 10**9)
     np.testing.assert_array_equal(times.seconds(np.array([0.5, 1.5])), [0.5, 1.5])
     assert (times.zero.ns, times.zero.is_zoned) == ((1714983330 - ahead_s) * 10**9, bool(zone))
@@ -173,7 +168,7 @@ def test_local_start_of_a_header_takes_the_zone_of_the_manifest(zone, ahead_s):
 
 @pytest.mark.representatives(5)
 @pytest.mark.parametrize(
-    ("times", "said", "changes", "message"),
+    ("times", "stated", "changes", "message"),
     [
         ({"body": None}, {}, {}, "axle_box, bogie, speed have absolute times, body have not; give"),
         ({"body": "local"}, {}, {}, "the times of body name no time zone, others do; give their"),
@@ -186,7 +181,7 @@ def test_local_start_of_a_header_takes_the_zone_of_the_manifest(zone, ahead_s):
         ({"body": "years"}, {}, {}, r"only 0\.0 s are common to all channels"),
     ],
 )  # fmt: skip
-def test_clocks_that_cannot_be_aligned_are_refused(tmp_path, times, said, changes, message):
+def test_clocks_that_cannot_be_aligned_are_refused(tmp_path, times, stated, changes, message):
     kinds = {
         None: lambda: None,
         "local": lambda: stamped("body", None),
@@ -198,18 +193,18 @@ def test_clocks_that_cannot_be_aligned_are_refused(tmp_path, times, said, change
     given = {name: stamped(name, "UTC") for name in LATE_S}
     given |= {name: kinds[kind]() for name, kind in times.items()}
     with pytest.raises(TripError, match=message) as caught:
-        load(write(tmp_path, given, said, **changes))
+        load(write(tmp_path, given, stated, **changes))
     assert "\n" not in str(caught.value)
 
 
 def test_units_of_time_that_differ_are_refused():
-    times = Times("here", Source("f", time="t", time_unit="s"), Column("t", "ms"), None)
+    times = Times("here", FileSource("f", time="t", time_unit="s"), Column("t", "ms"), None)
     with pytest.raises(TripError, match="here: `time_unit` says 's', its file says 'ms'"):
         times.seconds(np.arange(3.0))
 
 
 def test_offset_of_a_zone_in_summer():
-    source = Source("f", time="t", time_zone="Europe/Berlin")
+    source = FileSource("f", time="t", time_zone="Europe/Berlin")
     times = Times("here", source, Column("t", is_time=True), None)
     times.seconds(np.array(["2015-08-03T08:00:00.5"], "datetime64[ns]"))
     summer = datetime(2015, 8, 3, 8, tzinfo=timezone(timedelta(hours=2)))
@@ -250,7 +245,7 @@ AUTUMN[6000:] -= 3_600_000
 )
 def test_times_continue_where_a_clock_starts_again(tmp_path, times, unit, reason):
     path = written(tmp_path, times)
-    with opened(path, Channel(path.name, "g", "a", time="t", time_unit=unit)) as source:
+    with opened(path, SensorSource(path.name, "g", "a", time="t", time_unit=unit)) as source:
         np.testing.assert_array_equal(np.concatenate(list(source.even())), np.arange(N))
         assert source.known_rate_hz == pytest.approx(200)
         assert re.search(rf"times jump by {reason} and continue \(1\)$", source.words)
@@ -259,20 +254,14 @@ def test_times_continue_where_a_clock_starts_again(tmp_path, times, unit, reason
 @pytest.mark.parametrize(
     ("times", "message"),
     [
-        (
-            np.where(SECONDS < 45, SECONDS, SECONDS - 0.8),
-            "the clock steps back by 0.795 s; divide the",
-        ),
-        (
-            np.where(SECONDS < 45, SECONDS, SECONDS - 45),
-            "the clock steps back by 44.995 s; divide the",
-        ),
+        (np.where(SECONDS < 45, SECONDS, SECONDS - 0.8), "the clock steps back by 0.795 s; divide"),
+        (np.where(SECONDS < 45, SECONDS, SECONDS - 45), "the clock steps back by 44.995 s; divide"),
         ([""] * N, "its times are empty"),
     ],
 )
 def test_clocks_that_step_back_are_refused(tmp_path, times, message):
     path = written(tmp_path, times)
-    source = Channel(path.name, "g", "a", time="t")
+    source = SensorSource(path.name, "g", "a", time="t")
     with opened(path, source) as one, pytest.raises(TripError, match=message):
         list(one.even())
 
@@ -280,7 +269,7 @@ def test_clocks_that_step_back_are_refused(tmp_path, times, message):
 def test_rows_without_a_time_are_left_out(tmp_path):
     path = written(tmp_path, ["0.25", *SECONDS[1:50], "ERR", *SECONDS[51:]])
     path.write_text(path.read_text().replace("0.25,0\n", "0,0\n"))
-    with opened(path, Channel(path.name, "g", "a", time="t")) as source:
+    with opened(path, SensorSource(path.name, "g", "a", time="t")) as source:
         values = np.concatenate(list(source.even()))
         assert "rows without a time are left out (1)" in source.words
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(values)), [50])
@@ -291,9 +280,7 @@ def test_rows_without_a_time_are_left_out(tmp_path):
 def test_times_without_their_unit_are_named_by_it(tmp_path, unit, size):
     times = {name: np.round(elapsed(name) / size) for name in LATE_S}
     path = write(tmp_path, times, {"speed": {"time_unit": unit}})
-    message = (
-        f"at least 100 Hz are needed; its times look like {unit}, 250 Hz: give `time_unit: {unit}`"
-    )
+    message = f"its times look like {unit}, 250 Hz: give `time_unit: {unit}`"
     with pytest.raises(TripError, match=message):
         load(path)
 
@@ -310,6 +297,6 @@ def test_times_of_day_are_aligned_with_each_other_and_by_the_start(tmp_path):
         load(write(tmp_path, of_day, {"body": {"time_zone": "UTC"}}))
 
 
-def test_init_says_in_which_unit_a_clock_counts(tmp_path):
+def test_init_states_in_which_unit_a_clock_counts(tmp_path):
     (signal,) = contents_of(written(tmp_path, COUNTS)).signals
     assert (signal.time, signal.time_unit, round(signal.rate_hz, 6)) == ("t", "us", 200.0)

@@ -19,9 +19,9 @@ from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_file
 
 HAS_LANDLOCK = platform.system() == "Linux" and (
-    ctypes.CDLL(None, use_errno=True).syscall(confinement._CREATE_RULESET, None, 0, 1) > 0
+    ctypes.CDLL(None, use_errno=True).syscall(confinement.CREATE_RULESET, None, 0, 1) > 0
 )
-HAS_FILTER = platform.system() == "Linux" and platform.machine() in confinement._ARCHITECTURES
+HAS_FILTER = platform.system() == "Linux" and platform.machine() in confinement.ARCHITECTURES
 NEEDS_LANDLOCK = ("list", "read by C", "passwords")
 NEEDS_FILTER = {one for one in attempts(Path()) if one.endswith(" by C")} - {*NEEDS_LANDLOCK}
 NEEDS_FILTER |= {"kill the parent", "trace", "uring"}
@@ -60,7 +60,7 @@ def state(folder: Path) -> str:
 @pytest.mark.parametrize("what", attempts(Path()))
 def test_reader_can_do_nothing_but_read_its_file(file, tmp_path, what):
     if (what in NEEDS_LANDLOCK and not HAS_LANDLOCK) or (what in NEEDS_FILTER and not HAS_FILTER):
-        pytest.skip("this system lacks what refuses it")
+        pytest.skip("runs on Linux with Landlock, on x86-64 or ARM")
     path = file(what)
     before = state(tmp_path)
     try:
@@ -75,9 +75,9 @@ def test_reader_can_do_nothing_but_read_its_file(file, tmp_path, what):
 def test_numbers_of_the_allowed_calls_are_those_of_linux():
     if not all(os.path.exists(header) for header, _ in HEADERS):
         pytest.skip("needs the headers of Linux")
-    words = (one.split(":") for one in confinement._ALLOWED_CALLS.split())
+    words = (one.split(":") for one in confinement.ALLOWED_CALLS.split())
     tables = {name: numbers for name, *numbers in words}
-    tables |= confinement._BOUNDED_CALLS | confinement._OWN_SIGNALS
+    tables |= confinement.BOUNDED_CALLS | confinement.OWN_SIGNALS
     for place, (header, pattern) in enumerate(HEADERS):
         known = dict(re.findall(pattern, Path(header).read_text()))
         known["newfstatat"] = known.get("newfstatat") or known["fstatat"]
@@ -152,9 +152,9 @@ def test_protections_do_not_need_each_other(tmp_path, missing):
     if (pid := os.fork()) == 0:
         try:
             if missing in ("Landlock", "both"):
-                confinement._CREATE_RULESET = 1_000_000  # no such system call
+                confinement.CREATE_RULESET = 1_000_000  # no such system call
             if missing in ("the filter", "both"):
-                confinement._ARCHITECTURES.clear()
+                confinement.ARCHITECTURES.clear()
             handle = os.open(tmp_path / "data.mat", os.O_RDONLY)
             lacking = confinement.confine(handle, tmp_path / "data.mat", 2**28)
             os.write(into, f"{[one.split(' (')[0] for one in lacking]} ".encode())

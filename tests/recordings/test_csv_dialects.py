@@ -1,4 +1,4 @@
-"""CSV files as loggers write them: the dialect is found out, or the error says what to give."""
+"""CSV files as loggers write them: the dialect is detected, or the error says what to give."""
 
 import re
 import time
@@ -15,9 +15,15 @@ from suspnet.recordings.csv_dialect import find_dialect
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_columns, open_file, read_columns
 from suspnet.recordings.manifest_keys import CsvDialect
-from suspnet.recordings.manifest_sources import Channel
+from suspnet.recordings.manifest_sources import SensorSource
 
 ROWS = np.array([[0.0, 1.5, -0.25], [0.1, -2.5, 1e-5], [0.2, np.nan, 12.0], [0.3, 4.0, 0.125]])
+
+
+def written(folder: Path, text: str, encoding: str = "utf-8") -> Path:
+    path = folder / "data.csv"
+    path.write_text(text, encoding, newline="")
+    return path
 
 
 def read(path: Path, *columns, csv: CsvDialect | None = None) -> list[np.ndarray]:
@@ -46,11 +52,7 @@ def table(delimiter=",", decimal=".", head=("t,a,b",), end="\n", empty="") -> st
 )
 @pytest.mark.parametrize(
     "head",
-    [
-        ["t,a,b"],
-        ["Gerät 7", "Rate [Hz],1000", "", "t,a,b"],
-        ["Größe,3,2.5", "t,a,b", "s,m/s2,g"],
-    ],
+    [["t,a,b"], ["Gerät 7", "Rate [Hz],1000", "", "t,a,b"], ["Größe,3,2.5", "t,a,b", "s,m/s2,g"]],
 )
 def test_numbers_are_those_written(tmp_path, delimiter, decimal, encoding, end, head):
     path = tmp_path / "data.csv"
@@ -65,9 +67,9 @@ def test_numbers_are_those_written(tmp_path, delimiter, decimal, encoding, end, 
         assert f"decimal sign {decimal!r}" in file.words
 
 
-def test_what_is_found_is_named(tmp_path):
-    path = tmp_path / "data.csv"
-    path.write_text("\n".join(["Prüfer;7", "", "Zeit;a [g];", "0,5;1,25;", "1,0;2,5;"]), "utf-16")
+def test_detected_dialect_is_named(tmp_path):
+    text = "\n".join(["Prüfer;7", "", "Zeit;a [g];", "0,5;1,25;", "1,0;2,5;"])
+    path = written(tmp_path, text, "utf-16")
     with open_file(path) as file:
         assert file.words == (
             "data.csv: delimiter ';', decimal sign ',', names in line 3, rows from line 4 on, "
@@ -97,9 +99,7 @@ def test_what_is_found_is_named(tmp_path):
     ],
 )
 def test_small_files_are_read_as_they_are_meant(tmp_path, text, columns, expected):
-    path = tmp_path / "data.csv"
-    path.write_text(text, "utf-8", newline="")
-    np.testing.assert_array_equal(read(path, *columns), expected)
+    np.testing.assert_array_equal(read(written(tmp_path, text), *columns), expected)
 
 
 @pytest.mark.parametrize(
@@ -112,8 +112,7 @@ def test_small_files_are_read_as_they_are_meant(tmp_path, text, columns, expecte
     ],
 )
 def test_time_stamps_are_read(tmp_path, text, expected, zoned):
-    path = tmp_path / "data.csv"
-    path.write_text(text)
+    path = written(tmp_path, text)
     (times, _) = read(path, "t", None)
     begin = np.datetime64("2015-08-03T08:00:00", "ns")
     assert (times[0] - begin) / np.timedelta64(1, "s") == expected
@@ -134,8 +133,7 @@ def test_blocks_of_any_size_give_the_same(tmp_path, monkeypatch):
 
 def test_only_the_beginning_is_read_to_find_out(tmp_path, monkeypatch):
     monkeypatch.setattr(csv_dialect, "SAMPLE_BYTES", 2**10)
-    path = tmp_path / "data.csv"
-    path.write_text("t;a\n" + "0,5;1,5\n" * 9999)
+    path = written(tmp_path, "t;a\n" + "0,5;1,5\n" * 9999)
     assert find_dialect(path).decimal == ","
     assert len(read(path, "a")[0]) == 9999
 
@@ -202,8 +200,7 @@ def test_a_german_logger_with_columns_of_date_and_clock_says_start_and_decimal_s
     ],
 )
 def test_ambiguous_files_are_refused_until_told(tmp_path, text, reason, given, expected):
-    path = tmp_path / "data.csv"
-    path.write_text(text)
+    path = written(tmp_path, text)
     message = rf"data\.csv: .*{reason}.*; say how it is written in the manifest.*`csv: \{{delimi"
     with pytest.raises(TripError, match=message) as caught:
         read(path, "a")
@@ -223,16 +220,14 @@ def test_ambiguous_files_are_refused_until_told(tmp_path, text, reason, given, e
     ],
 )
 def test_files_that_are_no_table_are_refused(tmp_path, text, given, message):
-    path = tmp_path / "data.csv"
-    path.write_text(text)
+    path = written(tmp_path, text)
     with pytest.raises(TripError, match=rf"data\.csv: {message}"):
         read(path, "a", csv=given)
 
 
 @pytest.mark.parametrize("line", ["\t" * 80_000, ',"' * 60_000, ' "' * 59_999])
 def test_a_long_line_above_the_names_takes_no_long_time(tmp_path, line):
-    path = tmp_path / "data.csv"
-    path.write_text(f"{line}\nt;a\n" + "0;1\n" * 50)
+    path = written(tmp_path, f"{line}\nt;a\n" + "0;1\n" * 50)
     begin = time.process_time()
     assert len(read(path, "a")[0]) == 50
     assert time.process_time() - begin < 2
@@ -289,8 +284,7 @@ def test_several_tables_are_refused(tmp_path, names):
 
 
 def test_later_rows_of_another_dialect_are_refused(tmp_path):
-    path = tmp_path / "data.csv"
-    path.write_text("t;a\n" + "0;1\n" * 200_000 + "0,5;1,5\n")
+    path = written(tmp_path, "t;a\n" + "0;1\n" * 200_000 + "0,5;1,5\n")
     message = r"text in a column of numbers.*line 200002.*'0,5'.*decimal sign is taken to be '\.'"
     with pytest.raises(TripError, match=message):
         read(path, "t")
@@ -386,8 +380,7 @@ STATED = {
 def test_good_rows_are_read_and_the_rest_is_reported(tmp_path, monkeypatch, case, block):
     monkeypatch.setattr(csv_files, "BLOCK_BYTES", block)
     text, remark = STATED[case]
-    path = tmp_path / "data.csv"
-    path.write_text(text, "utf-8")
+    path = written(tmp_path, text, "utf-8")
     with open_file(path) as file:
         names = [column.name for column in file.columns]
         parts = list(read_columns(path, file, names))
@@ -413,8 +406,7 @@ def test_good_rows_are_read_and_the_rest_is_reported(tmp_path, monkeypatch, case
     ],
 )
 def test_names_of_columns_are_distinct_and_complete(tmp_path, text, names):
-    path = tmp_path / "data.csv"
-    path.write_text(text)
+    path = written(tmp_path, text)
     assert find_dialect(path).names == tuple(names)
 
 
@@ -446,8 +438,7 @@ def clock(ms: int) -> str:
     ],
 )
 def test_time_stamps_of_all_notations_are_read(tmp_path, form, begin):
-    path = tmp_path / "data.csv"
-    path.write_text("t,a\n" + rows(form))
+    path = written(tmp_path, "t,a\n" + rows(form))
     with open_file(path) as file:
         assert ("as day and month are unclear" in file.words) == (form(0)[:5] == "08/03")
         assert file.column("t").is_time
@@ -457,29 +448,26 @@ def test_time_stamps_of_all_notations_are_read(tmp_path, form, begin):
 
 
 def test_times_of_day_take_the_date_of_the_header(tmp_path):
-    path = tmp_path / "data.csv"
-    path.write_text("Datum: 03.08.2026\nt,a\n" + rows(clock))
+    path = written(tmp_path, "Datum: 03.08.2026\nt,a\n" + rows(clock))
     assert read(path, "t")[0][0] == np.datetime64("2026-08-03T08:00:00", "ns")
 
 
 @pytest.mark.parametrize("form", [lambda ms: f"day 3, {ms} ticks", lambda ms: f"08h00m{ms}"])
 def test_times_that_are_not_understood_are_named(tmp_path, form):
-    path = tmp_path / "data.csv"
-    path.write_text("t;a\n" + rows(lambda ms: form(ms) + ";").replace(";,", ";"))
+    path = written(tmp_path, "t;a\n" + rows(lambda ms: form(ms) + ";").replace(";,", ";"))
     with open_file(path) as file:
         assert f"the times of 't', like {form(0)!r}, cannot be read" in file.words
     message = rf"column 't' holds text like '{form(0)}', neither numbers nor times that can be read"
     with pytest.raises(TripError, match=message):
         read(path, "t", "a")
     message = f"here needs `rate_hz` or `time` .*; 't' holds text like '{form(0)}'"
-    with pytest.raises(TripError, match=message), opened(path, Channel(path.name, "g", "a")):
+    with pytest.raises(TripError, match=message), opened(path, SensorSource(path.name, "g", "a")):
         pass
 
 
 def test_a_file_that_is_mostly_something_else_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(csv_dialect, "SAMPLE_BYTES", 2**10)
-    path = tmp_path / "data.csv"
-    path.write_text("t,a\n" + TABLE * 10 + "some other text, of three, cells\n" * 60)
+    path = written(tmp_path, "t,a\n" + TABLE * 10 + "some other text, of three, cells\n" * 60)
     message = "60 lines are no rows of its table .first in line 302: 'some other text"
     with pytest.raises(TripError, match=message):
         read(path, "t", "a")

@@ -1,4 +1,4 @@
-"""Clocks that run apart: drift and jumps come back, and sound ones are left alone."""
+"""Clocks that drift apart: drift and jumps come back, and good clocks have none."""
 
 from functools import cache
 from pathlib import Path
@@ -8,10 +8,10 @@ import pytest
 from scipy.signal import lfilter
 
 from suspnet.recordings.cleaning import Fault
-from suspnet.recordings.clock_drift import _compared, clock_faults, find_drift
+from suspnet.recordings.clock_drift import clock_faults, compared_pairs, find_drift
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS, TripManifest
-from suspnet.recordings.manifest_sources import Channel
+from suspnet.recordings.manifest_sources import SensorSource
 
 RATE_HZ, SECONDS = 100.0, 600.0
 AT = np.arange(round(RATE_HZ * SECONDS)) / RATE_HZ
@@ -32,7 +32,7 @@ def sensor(times_s, noise: float = 0.05, smoothing: float = 0.9, seed: int = 1) 
     return values + noise * values.std() * rng.standard_normal(len(values))
 
 
-def found(second, usable=None, speed=None):
+def drift_of(second, usable=None, speed=None):
     usable = np.ones(len(AT), dtype=bool) if usable is None else usable
     speed = np.full(len(AT), 50.0) if speed is None else speed
     return find_drift(sensor(AT, smoothing=0.0, seed=2), second, usable, speed, RATE_HZ)
@@ -41,7 +41,7 @@ def found(second, usable=None, speed=None):
 @pytest.mark.representatives(2)
 @pytest.mark.parametrize("ppm", [0.0, 5.0, -30.0, 100.0, -1000.0])
 def test_drift_comes_back(ppm):
-    drift = found(sensor(AT * (1 - 1e-6 * ppm)))
+    drift = drift_of(sensor(AT * (1 - 1e-6 * ppm)))
     assert not drift.is_jump
     assert 1e6 * drift.size == pytest.approx(ppm, abs=1.0 + 2e-3 * abs(ppm))
     assert 0 < 1e6 * drift.deviation < 1.0
@@ -51,14 +51,14 @@ def test_drift_comes_back(ppm):
 @pytest.mark.representatives(2)
 @pytest.mark.parametrize("lost_s", [0.005, -0.02, 0.5, -3.0])
 def test_jump_comes_back(lost_s):
-    drift = found(sensor(AT + lost_s * (AT > 250) + 3.0 * (lost_s < 0)))
+    drift = drift_of(sensor(AT + lost_s * (AT > 250) + 3.0 * (lost_s < 0)))
     assert drift.is_jump
     assert drift.size == pytest.approx(-lost_s, abs=5e-4)
     assert drift.jump_at_s == pytest.approx(250, abs=20)
 
 
-def test_loss_of_more_than_a_window_is_found():
-    drift = found(sensor(AT + 40 * (AT > 300)))
+def test_loss_of_more_than_a_window_is_drift_of():
+    drift = drift_of(sensor(AT + 40 * (AT > 300)))
     assert drift.is_jump
     assert np.isinf(drift.size)
     assert drift.jump_at_s == pytest.approx(300, abs=20)
@@ -70,37 +70,37 @@ def test_other_motion_at_another_speed_or_at_a_stop_is_no_loss():
     later = np.where(AT < 300, sensor(AT), other)
     for low in (30.0, 0.0):
         speed = np.where(AT < 300, 50.0, low)
-        drift = found(later, speed=speed)
+        drift = drift_of(later, speed=speed)
         assert drift is None or abs(drift.size) < 6 * drift.deviation
-    assert np.isinf(found(later).size)
+    assert np.isinf(drift_of(later).size)
 
 
 def test_little_in_common_throughout_is_no_loss():
     """As of axle boxes left and right: now and then a window is clear."""
     own = np.random.default_rng(6).standard_normal(len(AT))
     for share in (1.0, 1.5, 2.0, 2.5):
-        drift = found(sensor(AT) + share * sensor(AT).std() * own)
+        drift = drift_of(sensor(AT) + share * sensor(AT).std() * own)
         assert drift is None or np.isfinite(drift.size)
 
 
 def test_speed_explains_delays():
     speed = np.where(AT < 300, 50.0, 30.0)
     later = sensor(AT - np.where(AT < 300, 0.0, 0.03))
-    drift = found(later, speed=speed)
+    drift = drift_of(later, speed=speed)
     assert not drift.is_jump
     assert abs(drift.size) < 6 * drift.deviation
-    assert found(later).is_jump
+    assert drift_of(later).is_jump
 
 
-def test_what_has_nothing_in_common_tells_nothing():
-    assert found(np.random.default_rng(0).standard_normal(len(AT))) is None
-    assert found(np.zeros(len(AT))) is None
-    assert found(sensor(AT), usable=AT % 20 > 1) is None
+def test_signals_with_nothing_in_common_show_no_drift():
+    assert drift_of(np.random.default_rng(0).standard_normal(len(AT))) is None
+    assert drift_of(np.zeros(len(AT))) is None
+    assert drift_of(sensor(AT), usable=AT % 20 > 1) is None
     assert find_drift(*[AT[:9000]] * 2, *[np.ones(9000, dtype=bool)] * 2, RATE_HZ) is None
 
 
 def manifest(**rates) -> TripManifest:
-    channels = {name: Channel("f", "g", name, rates.get(name)) for name in CHANNELS}
+    channels = {name: SensorSource("f", "g", name, rates.get(name)) for name in CHANNELS}
     return TripManifest(
         path=Path("trip.yaml"),
         name="trip",
@@ -118,7 +118,7 @@ def faults(seconds, **rates) -> tuple[Fault, ...]:
     return clock_faults(manifest(**rates), values, usable, np.full(len(AT), 50.0), RATE_HZ)
 
 
-def test_drift_is_told_with_the_rate_that_would_be_right():
+def test_drift_is_reported_with_the_rate_that_would_be_right():
     (fault,) = faults([AT, AT, AT * (1 - 2e-5)], body=2000.0)
     assert str(fault).startswith("body: clock runs +20")
     assert "ppm against that of bogie, 11.6 ms along the trip; with `rate_hz` 2000.04" in str(fault)
@@ -136,7 +136,7 @@ def test_clocks_far_apart_are_refused():
 
 def test_sensors_of_the_other_axle_are_compared_with_the_first_one():
     names = ["axle_box left", "axle_box right", "axle_box axle2", "bogie", "bogie axle2"]
-    assert _compared(names) == [
+    assert compared_pairs(names) == [
         ("axle_box left", "bogie"),
         ("axle_box left", "axle_box right"),
         ("axle_box left", "axle_box axle2"),

@@ -2,6 +2,7 @@
 
 import random
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -16,30 +17,8 @@ from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import ManifestFile, read_manifest
 
 VALUES = (
-    "no",
-    "0777",
-    "12:30:45",
-    "x",
-    "-1",
-    "1e999",
-    "[1]",
-    "{}",
-    "null",
-    "true",
-    ".nan",
-    "'",
-    "&a",
-    "*a",
-    "!!int 1",
-    "2015-08-03",
-    '"\\x00"',
-    "9" * 400,
-    "é",
-    "- ",
-    "a: b",
-    "<<",
-    "1_0",
-    "\t",
+    *("no", "0777", "12:30:45", "x", "-1", "1e999", "[1]", "{}", "null", "true", ".nan", "'", "&a"),
+    *("*a", "!!int 1", "2015-08-03", '"\\x00"', "9" * 400, "é", "- ", "a: b", "<<", "1_0", "\t"),
 )
 FEW, MANY = 100, 10_000
 SECONDS = 20.0
@@ -101,6 +80,15 @@ def test_broken_manifests_have_one_line_each_and_are_quick(tmp_path, count):
         assert seconds < SECONDS
 
 
+@contextmanager
+def suppress_named(path: Path):
+    """Suppress an error that names a file."""
+    try:
+        yield
+    except TripError as error:
+        assert path.name in str(error)  # noqa: PT017
+
+
 @pytest.mark.parametrize("count", [3, pytest.param(500, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "suffix",
@@ -115,7 +103,6 @@ def test_damaged_files_are_read_or_refused(tmp_path, monkeypatch, suffix, count)
     columns = {"t": np.arange(50.0), "a": np.arange(50.0)}
     WRITERS[suffix](path, columns, rate_hz=100.0, unit="g")
     whole = path.read_bytes()
-    n_refused = n_crashed = n_hung = 0
     for _ in range(count):
         content = bytearray(whole)
         if draw.random() < 0.2:
@@ -123,18 +110,8 @@ def test_damaged_files_are_read_or_refused(tmp_path, monkeypatch, suffix, count)
         for _ in range(draw.randint(1, 8) if content else 0):
             content[draw.randrange(len(content))] = draw.randrange(256)
         path.write_bytes(content)
-        try:
+        with suppress_named(path):
             with open_file(path) as file:
                 for column in file.columns:
-                    try:
+                    with suppress_named(path):
                         list(read_columns(path, file, [column.name]))
-                    except TripError as error:
-                        n_crashed += "its reader crashed" in str(error)
-                        assert path.name in str(error)  # noqa: PT017
-        except TripError as error:
-            n_refused += 1
-            n_crashed += "its reader crashed" in str(error)
-            n_hung += "its reader took longer" in str(error)
-            assert path.name in str(error)  # noqa: PT017
-    words = f"{n_crashed} crashed and {n_hung} hung their readers"
-    print(f"{suffix}: {count} files, {n_refused} refused when opened, {words}")

@@ -5,18 +5,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recording_files import needed
 
 from suspnet.recordings.columns import BLOCK
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_columns, open_file
 
-asammdf = pytest.importorskip("asammdf")
+asammdf = needed("asammdf")
 RAW = np.array([0, 1, 2, 3, 5, 8, 13, 21, 200, 255])
 TABLE = {"raw_0": 1.0, "phys_0": 10.0, "raw_1": 2.0, "phys_1": 30.0, "raw_2": 8.0, "phys_2": -5.0}
 RANGES = {
     **{"lower_0": 0.0, "upper_0": 2.0, "phys_0": 7.0},
     **{"lower_1": 5.0, "upper_1": 8.0, "phys_1": 9.0, "default": -1.0},
 }
+IN_WORDS = {"ref_param_nr": 2, "lower_0": 0.0, "upper_0": 1.0, "text_0": b"on"}
 
 
 def nearest(x):
@@ -104,10 +106,7 @@ def test_virtual_channels_count_the_records(tmp_path):
     [
         ("4.10", 3, {"formula": "X"}, r"algebraic \(a formula\)"),
         ("4.10", 7, {"ref_param_nr": 2, "val_0": 1.0, "text_0": b"on"}, "value-to-text"),
-        (
-            *("4.10", 8, {"ref_param_nr": 2, "lower_0": 0.0, "upper_0": 1.0, "text_0": b"on"}),
-            "range-to-text",
-        ),
+        ("4.10", 8, IN_WORDS, "range-to-text"),
         ("3.30", 10, {"formula": "X1"}, r"algebraic \(a formula\)"),
         ("3.30", 6, P, "polynomial"),
         ("3.30", 7, P | {"P7": 0.0}, "exponential"),

@@ -15,7 +15,7 @@ from suspnet.recordings import formats, reader_process
 from suspnet.recordings.columns import Column
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_columns, open_file
-from suspnet.recordings.reader_server import MEMORY_WORDS
+from suspnet.recordings.reader_server import NO_MEMORY
 
 A = np.arange(float(N_BLOCKS * N_SAMPLES))
 
@@ -24,7 +24,6 @@ A = np.arange(float(N_BLOCKS * N_SAMPLES))
 def file(monkeypatch, tmp_path):
     """Return a function that writes a file which does something to its reader."""
     monkeypatch.setitem(formats.READERS, ".mat", reader_process.in_own_process(open_dying))
-    monkeypatch.setattr(reader_process, "_late", {})
 
     def written(what, name="data"):
         path = tmp_path / f"{name}.mat"
@@ -104,7 +103,7 @@ def test_what_libraries_print_goes_nowhere(file, capfd):
 # what goes wrong
 
 
-@pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
+@pytest.mark.skipif(os.name != "posix", reason="runs on POSIX systems, whose signals it sends")
 @pytest.mark.parametrize(
     "when", [":2", *(pytest.param(when, marks=pytest.mark.slow) for when in ("", ":0"))]
 )
@@ -120,7 +119,7 @@ def test_what_libraries_print_goes_nowhere(file, capfd):
         ),
         ("trip", "one problem (and 1 more: suspnet check shows all)"),
         ("error", "is damaged, cut off or not a .mat file (division by zero)"),
-        ("speechless", f"{MEMORY_WORDS}"),
+        ("speechless", f"{NO_MEMORY}"),
     ],
 )
 def test_end_of_a_reader_is_one_error(file, what, words, when):
@@ -150,7 +149,7 @@ def test_reader_that_takes_too_long_is_ended_and_the_file_not_tried_again(file, 
 
 
 @pytest.mark.parametrize("text", ["soon", "0", "-1", "nan", "inf", "1e300"])
-def test_time_that_is_none_is_named(file, monkeypatch, text):
+def test_invalid_time_is_named(file, monkeypatch, text):
     monkeypatch.setenv(reader_process.LIMIT, text)
     with pytest.raises(TripError, match=f"SUSPNET_READER_S must be a time in .* got '{text}'"):
         read(file("fine"))
@@ -173,14 +172,14 @@ def test_threads_have_readers_of_their_own(file):
     assert len(set(found)) == 2
 
 
-@pytest.mark.skipif(not os.path.exists("/proc/self/task"), reason="needs Linux's /proc")
+@pytest.mark.skipif(not os.path.exists("/proc/self/task"), reason="runs on Linux, which has /proc")
 @pytest.mark.parametrize("what", ["fine", pytest.param("hang inside:1", marks=pytest.mark.slow)])
 def test_reader_ends_with_the_process_that_is_killed(file, what):
     code = (
         "import os, signal, sys, threading; from pathlib import Path; "
         "from suspnet.recordings.reader_process import in_own_process; "
         "from dying_readers import open_dying\n"
-        f"with in_own_process(open_dying)(Path({str(file(what))!r}), None) as opened:\n"
+        f"with in_own_process(open_dying)(Path({str(file(what))!r})) as opened:\n"
         "    print(opened.words, flush=True)\n"
         "    threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGKILL)).start()\n"
         "    list(opened.read(['a'])); signal.pause()"

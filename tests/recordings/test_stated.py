@@ -7,12 +7,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from recording_files import write_uff
+from recording_files import needed, write_uff
 from scipy.io import savemat
 from scipy.sparse import csc_array
 
 from suspnet.recordings.errors import TripError
-from suspnet.recordings.formats import FORMATS, UNREAD, open_columns, open_file
+from suspnet.recordings.formats import open_columns, open_file
 from suspnet.trips.file_contents import contents_of
 
 N = 8
@@ -33,54 +33,42 @@ def unread(path: Path) -> dict[str, str]:
 
 def hdf5(path: Path, **attributes):
     """Return an HDF5 file that is open for writing, with integers as `a`."""
-    file = pytest.importorskip("h5py").File(path, "w")
+    file = needed("h5py").File(path, "w")
     file["a"] = np.arange(N, dtype="i2")
     file["a"].attrs.update(attributes)
     return file
 
 
-@pytest.mark.parametrize(
-    ("attributes", "expected"),
-    [
-        ({"scale_factor": 0.5, "add_offset": -1.0}, 0.5 * VALUES - 1),
-        ({"scale_factor": np.array([2.0])}, 2 * VALUES),
-        ({"_FillValue": np.int16(3), "scale_factor": 3.0}, [0, 3, 6, np.nan, 12, 15, 18, 21]),
-        ({"missing_value": [0, 7]}, [np.nan, 1, 2, 3, 4, 5, 6, np.nan]),
-        ({"valid_range": [1, 6]}, [np.nan, 1, 2, 3, 4, 5, 6, np.nan]),
-        ({"valid_min": 1, "valid_max": 6.0}, [np.nan, 1, 2, 3, 4, 5, 6, np.nan]),
-        ({"_Unsigned": "true", "scale_factor": 1.0}, VALUES),
-        ({"other": 5.0}, VALUES),
-    ],
-)
-def test_scale_and_missing_samples_of_hdf5_are_applied(tmp_path, attributes, expected):
-    hdf5(tmp_path / "a.h5", **attributes).close()
-    np.testing.assert_array_equal(read(tmp_path / "a.h5", "a")[0], expected)
+CALIBRATED = [  # stored numbers, their attributes, and the samples
+    (VALUES, {"scale_factor": 0.5, "add_offset": -1.0}, 0.5 * VALUES - 1),
+    (VALUES, {"scale_factor": np.array([2.0])}, 2 * VALUES),
+    (VALUES, {"_FillValue": 3.0, "scale_factor": 3.0}, [0, 3, 6, np.nan, 12, 15, 18, 21]),
+    (VALUES, {"missing_value": [0, 7]}, [np.nan, 1, 2, 3, 4, 5, 6, np.nan]),
+    (VALUES, {"valid_range": [1, 6]}, [np.nan, 1, 2, 3, 4, 5, 6, np.nan]),
+    (VALUES, {"valid_min": 1, "valid_max": 6.0}, [np.nan, 1, 2, 3, 4, 5, 6, np.nan]),
+    (VALUES, {"other": 5.0}, VALUES),
+    (np.float32([1, -9999.9]), {"_FillValue": -9999.9}, [1, np.nan]),
+    (np.float32([0.1, 0.2]), {"valid_max": 0.1}, [np.float32(0.1), np.nan]),
+    (np.int8([1, -1]), {"_Unsigned": "true"}, [1, 255]),
+    (np.int8([1, -1]), {"_Unsigned": "true", "_FillValue": np.int8(-1)}, [1, np.nan]),
+    (np.int8([1, -2]), {"_Unsigned": "true", "valid_range": np.int8([0, -2])}, [1, 254]),
+    (np.uint8([1, 241]), {"_FillValue": -9999}, [1, 241]),
+]
 
 
-@pytest.mark.parametrize(
-    "name", ["Gain", "Scale_Factor", "SCALE_FACTOR", "scaling", "slope", "Lsb", "FillValue"]
-)
-def test_attributes_of_hdf5_without_a_convention_are_named(tmp_path, name):
-    hdf5(tmp_path / "a.h5", **{name: 10.0, "unit": "g"}).close()
-    words = f"a.h5: attributes that are not applied: 'a.{name}'"
-    assert contents_of(tmp_path / "a.h5").read_as == words
-
-
-@pytest.mark.parametrize(
-    ("stored", "attributes", "expected"),
-    [
-        (np.float32([1, -9999.9]), {"_FillValue": -9999.9}, [1, np.nan]),
-        (np.float32([0.1, 0.2]), {"valid_max": 0.1}, [np.float32(0.1), np.nan]),
-        (np.int8([1, -1]), {"_Unsigned": "true", "_FillValue": np.int8(-1)}, [1, np.nan]),
-        (np.int8([1, -2]), {"_Unsigned": "true", "valid_range": np.int8([0, -2])}, [1, 254]),
-        (np.uint8([1, 241]), {"_FillValue": -9999}, [1, 241]),
-    ],
-)
-def test_samples_are_compared_as_they_are_stored(tmp_path, stored, attributes, expected):
+@pytest.mark.parametrize(("stored", "attributes", "expected"), CALIBRATED)
+def test_scale_and_missing_samples_of_hdf5_are_applied(tmp_path, stored, attributes, expected):
     with hdf5(tmp_path / "a.h5") as file:
         file["b"] = stored
         file["b"].attrs.update(attributes)
     np.testing.assert_array_equal(read(tmp_path / "a.h5", "b")[0], expected)
+
+
+@pytest.mark.parametrize("name", ["Gain", "Scale_Factor", "scaling", "Lsb", "FillValue"])
+def test_attributes_of_hdf5_without_a_convention_are_named(tmp_path, name):
+    hdf5(tmp_path / "a.h5", **{name: 10.0, "unit": "g"}).close()
+    words = f"a.h5: attributes that are not applied: 'a.{name}'"
+    assert contents_of(tmp_path / "a.h5").read_as == words
 
 
 @pytest.mark.parametrize("is_turned", [False, True])
@@ -102,20 +90,15 @@ def test_scales_that_cannot_be_are_refused_by_name(tmp_path, said):
     assert unread(tmp_path / "a.h5")["b"].startswith("cannot be read (its scale_factor is [")
 
 
-def test_fill_values_that_were_chosen_are_missing_and_signs_as_stated(tmp_path):
+@pytest.mark.parametrize(("fill", "rest"), [(-99, np.nan), (0, 0)])
+def test_fill_values_that_were_chosen_are_missing(tmp_path, fill, rest):
     with hdf5(tmp_path / "a.h5") as file:
-        for name, fill in (("filled", -99), ("zero", 0)):
-            file.create_dataset(name, (N,), "i2", fillvalue=fill)[:4] = [1, 2, 3, 4]
-        file["unsigned"] = np.array([-1, 1], "i1")
-        file["unsigned"].attrs["_Unsigned"] = "true"
-    missing = [np.nan] * 4
-    np.testing.assert_array_equal(read(tmp_path / "a.h5", "filled")[0], [1, 2, 3, 4, *missing])
-    np.testing.assert_array_equal(read(tmp_path / "a.h5", "zero")[0], [1, 2, 3, 4, 0, 0, 0, 0])
-    np.testing.assert_array_equal(read(tmp_path / "a.h5", "unsigned")[0], [255, 1])
+        file.create_dataset("b", (N,), "i2", fillvalue=fill)[:4] = [1, 2, 3, 4]
+    np.testing.assert_array_equal(read(tmp_path / "a.h5", "b")[0], [1, 2, 3, 4, *[rest] * 4])
 
 
 def test_foreign_objects_of_hdf5_are_named_and_the_rest_is_read(tmp_path):
-    h5py = pytest.importorskip("h5py")
+    h5py = needed("h5py")
     path = tmp_path / "a.h5"
     with hdf5(path) as file:
         space, wide = h5py.h5s.create_simple((N,)), h5py.h5t.STD_I32LE.copy()
@@ -130,14 +113,18 @@ def test_foreign_objects_of_hdf5_are_named_and_the_rest_is_read(tmp_path):
         kinds = [("t", "f8"), ("a", "f4"), ("pair", "f8", 2), ("name", "S3"), ("in", [("x", "f8")])]
         file["table"] = np.zeros(N, kinds)
         file["table"].attrs["unit"] = "g"  # of which field?
-    found = unread(path)
-    assert found["moments"].startswith("cannot be read (No NumPy equivalent")
-    assert found["integers"].startswith("cannot be read (data type '<i3'")
-    assert found["empty"] == "is without samples: its space is null"
-    assert found["cube"] == "is an array of 4 x 3 x 2; export it as columns"
-    assert found["scaled"].startswith("cannot be read (could not convert string")
-    assert set(found) == {"moments", "integers", "empty", "complex", "cube", "scaled", "table.in"}
-    assert "complex128, not real numbers" in found["complex"]
+    reasons = unread(path)
+    starts = {
+        "moments": "cannot be read (No NumPy equivalent",
+        "integers": "cannot be read (data type '<i3'",
+        "empty": "is without samples: its space is null",
+        "cube": "is an array of 4 x 3 x 2; export it as columns",
+        "scaled": "cannot be read (could not convert string",
+        "complex": "holds complex128, not real numbers",
+        "table.in": "",
+    }
+    assert set(reasons) == set(starts)
+    assert all(reasons[name].startswith(start) for name, start in starts.items())
     with pytest.raises(TripError, match=r"a\.h5: column 'moments' cannot be read"):
         read(path, "moments")
     assert "a.h5: not read: 'complex' holds complex128" in contents_of(path).read_as
@@ -168,7 +155,7 @@ def test_times_of_netcdf_are_those_of_their_data_sets(tmp_path, unit, start_ns):
 
 
 def test_cells_and_objects_of_matlab_7_3(tmp_path):
-    h5py = pytest.importorskip("h5py")
+    h5py = needed("h5py")
     with hdf5(tmp_path / "a.h5") as file:
         file["#refs#/x"], file["#refs#/g/y"] = VALUES[None], 2 * VALUES[None]
         file["c"] = np.array([[file["#refs#/x"].ref], [file["#refs#/g"].ref]], h5py.ref_dtype)
@@ -185,10 +172,10 @@ def test_cells_and_objects_of_matlab_7_3(tmp_path):
 
 def signals_of_simulink(*labels):
     kinds = [(name, object) for name in ("values", "dimensions", "label")]
-    found = np.empty((1, len(labels)), kinds)
+    signals = np.empty((1, len(labels)), kinds)
     for i, label in enumerate(labels):
-        found[0, i] = (VALUES[:, None] * (i + 1), 1.0, label)
-    return found
+        signals[0, i] = (VALUES[:, None] * (i + 1), 1.0, label)
+    return signals
 
 
 def element(kind: int, data: bytes) -> bytes:
@@ -234,7 +221,7 @@ def test_scalars_at_the_top_of_matlab_files_state_rate_and_unit(tmp_path, suffix
     if suffix == ".mat":
         savemat(path, data)
     else:
-        h5py = pytest.importorskip("h5py")
+        h5py = needed("h5py")
         with h5py.File(path, "w") as file:
             for name, value in data.items():
                 file[name] = value if isinstance(value, str) else np.atleast_2d(value)
@@ -266,7 +253,7 @@ def test_objects_of_matlab_are_named_and_the_rest_is_read(tmp_path):
 
 
 def tdms(path: Path, *segments, values=VALUES, group="g", channel="a") -> Path:
-    nptdms = pytest.importorskip("nptdms")
+    nptdms = needed("nptdms")
     with nptdms.TdmsWriter(path) as writer:
         for start, properties in segments:
             said = {"wf_increment": 0.01, "unit_string": "g"} | properties
@@ -279,11 +266,7 @@ def tdms(path: Path, *segments, values=VALUES, group="g", channel="a") -> Path:
 @pytest.mark.parametrize(
     ("second", "gap_s"),
     [
-        ("15:30.08", 0),
-        ("15:30.0804", 0),
-        ("15:30", 0),
-        (None, 0),
-        ("15:30.28", 0.2),
+        *(("15:30.08", 0), ("15:30.0804", 0), ("15:30", 0), (None, 0), ("15:30.28", 0.2)),
         ("25:30.08", 600),
     ],
 )
@@ -323,9 +306,9 @@ def test_short_overlaps_between_segments_of_tdms_add_up(tmp_path):
     ("second", "properties", "message"),
     [
         (
-            *("15:30.04", {}),
-            "'g/a' has segments that overlap: one lasts until 2024-05-06T08:15:30.080000, the next "
-            "starts at 2024-05-06T08:15:30.040000; export them",
+            "15:30.04",
+            {},
+            "'g/a' has segments that overlap: one lasts until .*15:30.080000, the next",
         ),
         ("15:30.08", {"wf_increment": 0.02}, "has another 'wf_increment' in a later segment, 0.02"),
         ("15:30.08", {"unit_string": "m/s2"}, "another 'unit_string' in a later segment, m/s2 ins"),
@@ -338,7 +321,7 @@ def test_segments_of_tdms_that_contradict_are_refused(tmp_path, second, properti
 
 
 def test_no_channel_of_tdms_is_lost_by_its_name(tmp_path):
-    nptdms = pytest.importorskip("nptdms")
+    nptdms = needed("nptdms")
     names = [("a/b", "c"), ("a", "b/c"), ("a", "d")]
     with nptdms.TdmsWriter(tmp_path / "a.tdms") as writer:
         writer.write_segment(
@@ -405,20 +388,3 @@ def test_unit_and_rate_of_parquet_are_those_of_the_column(tmp_path):
     pq.write_table(pa.table([VALUES], schema=pa.schema([field])), tmp_path / "a.parquet")
     with open_file(tmp_path / "a.parquet") as file:
         assert (file.column("a").unit, file.column("a").rate_hz) == ("g", 500.0)
-
-
-# the table of the documentation, and formats that are not read
-
-
-def test_statements_of_all_formats_are_listed():
-    assert all(len(one.states) >= 3 for one in FORMATS)
-    assert not set(UNREAD) & {suffix for one in FORMATS for suffix in one.suffixes}
-
-
-@pytest.mark.parametrize("suffix", [".lvm", ".raw", ".dat", ".ide", ".d7d", ".dxd", ".bin"])
-def test_formats_that_are_not_read_are_named(tmp_path, suffix):
-    path = tmp_path / f"run{suffix}"
-    path.write_bytes(b"x")
-    message = rf"run\{suffix} \(.*\): files of type '\{suffix}' cannot be read; give \['\.asc'"
-    with pytest.raises(TripError, match=message), open_file(path):
-        pass

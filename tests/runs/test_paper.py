@@ -18,7 +18,7 @@ from suspnet.estimation.problem import Problem
 from suspnet.ground.storage import write_json
 from suspnet.learning import LinearRegression
 from suspnet.report.templates import packaged
-from suspnet.runs import sweeps
+from suspnet.runs import paper
 from suspnet.runs.paper import CURVES_OF_TRIPS, FLEET, impact_rows, precision_words, write_paper
 from suspnet.runs.train import train
 from suspnet.spectra.curves import CurveSettings
@@ -72,7 +72,7 @@ def test_experiment_ends_with_the_page(tmp_path, monkeypatch):
     summary = config.hydra.callbacks.summary
     assert (config.job, config.hydra.mode.name) == ("paper", "MULTIRUN")
     made = []
-    monkeypatch.setattr(sweeps, "write_paper", lambda runs, folder: made.append((runs, folder)))
+    monkeypatch.setattr(paper, "write_paper", lambda runs, folder: made.append((runs, folder)))
     write_json(tmp_path / "0" / "metrics.json", run("msvr", ("k_p", "c_p")))
     config.hydra.sweep.dir = str(tmp_path)
     instantiate(summary).on_multirun_end(config)

@@ -18,7 +18,7 @@ from suspnet.ground.storage import read_json
 from suspnet.recordings.dates import date_problem
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.manifest_sources import Channel, SpeedSource
+from suspnet.recordings.manifest_sources import SensorSource, SpeedSource
 from suspnet.simulation.fleet import FIRST_DAY, Scenario
 from suspnet.simulation.signals import (
     BLOCK,
@@ -234,7 +234,7 @@ def test_files_are_those_of_the_manifest(tmp_path):
         assert manifest.truth == pytest.approx(dict(zip(PARAMETERS, ratios[i], strict=True)))
         for name, rate_hz in zip(CHANNELS, (400.0, 200.0, 160.0), strict=True):
             channel = manifest.channels[name]
-            assert isinstance(channel, Channel)
+            assert isinstance(channel, SensorSource)
             assert (channel.unit, channel.column, channel.sign) == ("m/s2", "acceleration", 1)
             assert channel.rate_hz == rate_hz
             values = column(manifest.file_of(channel))
