@@ -19,22 +19,15 @@ from scipy.io import savemat
 SECRET = 42.625
 """Value of each sample of ``secret.h5``; ``secret`` holds its bytes."""
 A = np.arange(50.0)
+SUFFIXES = (".mat", ".h5", ".mf4", ".tdms", ".uff", ".wav", ".parquet", ".csv")
 TOUCH = "__import__('os').system('touch {canary}')"
 FORMULAS = {
     "system": TOUCH,
-    "system of X1": f"X1 + {TOUCH}",
-    "system of X": f"X * 0 + {TOUCH}",
-    "subprocess": "__import__('subprocess').call(['touch', '{canary}']) + X",
     "open": "open('{canary}', 'w').write('x')",
     "eval": 'eval("{touch}")',
-    "exec": 'exec(\'open("{canary}", "w")\')',
-    "lambda": "(lambda: {touch})()",
-    "list": "[{touch} for x in (1,)][0]",
     "subclasses": "().__class__.__base__.__subclasses__()[0] and {touch}",
     "read": "open('{folder}/secret', 'rb').read()[0] + 0 * X",
     "numexpr": "sin(X) + ({touch})",
-    "walrus": "(y := {touch})",
-    "conditional": "X if {touch} else X",
     "tower": "9**9**9**9**9",
     "deep": "(" * 5000 + "X" + ")" * 5000,
     "innocent": "2 * X1 + 1",
@@ -61,7 +54,7 @@ def formula(folder: Path, text: str) -> str:
 # MDF
 
 
-def mdf(folder: Path, *, text=FORMULAS["system"], version="4.10", place="value", kind="f8") -> Path:
+def mdf(folder: Path, *, text=FORMULAS["system"], version="4.10", place="value") -> Path:
     """Write an MDF file with a formula at some place."""
     asammdf = pytest.importorskip("asammdf")
     text = formula(folder, text)
@@ -80,16 +73,11 @@ def mdf(folder: Path, *, text=FORMULAS["system"], version="4.10", place="value",
         elif place == "default":
             conversion = ChannelConversion(**table, text_0=b"x", default_addr=conversion)
     with asammdf.MDF(version=version) as file:
-        for group in range(2 if place == "second group" else 1):
-            name = "a" if group == 0 else "b"
-            file.append([asammdf.Signal(A.astype(kind), A / 10, name=name, unit="g")])
-        places = {"master": [0], "both": [0, 1]}.get(place, [1])
-        for i in places:
-            file.groups[-1].channels[i].conversion = conversion
+        for name in ("a", "b") if place == "second group" else ("a",):
+            file.append([asammdf.Signal(A, A / 10, name=name, unit="g")])
+        file.groups[-1].channels[0 if place == "master" else 1].conversion = conversion
         written = file.save(folder / f"new.{'mf4' if version >= '4' else 'mdf'}", overwrite=True)
-    path = folder / ("data.mf4" if version >= "4" else "data.mdf")
-    written.rename(path)
-    return path
+    return written.rename(folder / ("data.mf4" if version >= "4" else "data.mdf"))
 
 
 def mdf_comment(folder: Path, text: str) -> Path:
@@ -132,21 +120,19 @@ def hdf5(folder: Path, fill, suffix=".h5") -> Path:
     return path
 
 
-def external(_, file, folder, files=("{folder}/secret",), shape=(200,)):
-    size = 8 * int(np.prod(shape)) // len(files)
-    parts = [(name.format(folder=folder), 0, size) for name in files]
-    file.create_dataset("a", shape, dtype="f8", external=parts)
+def external(_, file, folder, name="{folder}/secret", n=200):
+    parts = [(name.format(folder=folder), 0, 8 * n)]
+    file.create_dataset("a", (n,), dtype="f8", external=parts)
 
 
-def virtual(h5py, file, folder, source="{folder}/secret.h5", length=200, most=None):
-    layout = h5py.VirtualLayout((length,), "f8", maxshape=(most,))
-    name = source.format(folder=folder)
-    if most is None and length == 0:
-        origin = h5py.VirtualSource(name, "x", (200,), maxshape=(None,))
-        layout = h5py.VirtualLayout((200,), "f8", maxshape=(None,))
+def virtual(h5py, file, folder, source="{folder}/secret.h5", is_unlimited=False):
+    most = (None,) if is_unlimited else (200,)
+    layout = h5py.VirtualLayout((200,), "f8", maxshape=most)
+    origin = h5py.VirtualSource(source.format(folder=folder), "x", (200,), maxshape=most)
+    if is_unlimited:
         layout[0 : h5py.h5s.UNLIMITED] = origin[0 : h5py.h5s.UNLIMITED]
     else:
-        layout[:] = h5py.VirtualSource(name, "x", (length,))
+        layout[:] = origin
     file.create_virtual_dataset("a", layout)
 
 
@@ -160,8 +146,6 @@ def virtual_of_external(h5py, file, folder):
 def link(h5py, file, folder, target="external"):
     if target == "external":
         file["a"] = h5py.ExternalLink(str(folder / "secret.h5"), "x")
-    elif target == "external group":
-        file["a"] = h5py.ExternalLink(str(folder / "secret.h5"), "/")
     elif target == "loop":
         file["a"], file["b"] = h5py.SoftLink("/b"), h5py.SoftLink("/a")
     elif target == "hard loop":
@@ -171,7 +155,7 @@ def link(h5py, file, folder, target="external"):
         file["a"] = h5py.SoftLink("/b/x")
 
 
-def plugin(h5py, file, _, number=32001):
+def plugin(h5py, file, _, number):
     plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     plan.set_chunk((50,))
     plan.set_filter(number, h5py.h5z.FLAG_OPTIONAL, (1, 2))
@@ -306,78 +290,48 @@ ACTING = {
     **{f"mdf {name}": partial(mdf, text=text) for name, text in FORMULAS.items()},
     **{
         f"mdf at {place}": partial(mdf, place=place)
-        for place in ("master", "both", "second group", "default", "text", "range")
+        for place in ("master", "second group", "default", "text", "range")
     },
-    **{f"mdf of {kind}": partial(mdf, kind=kind) for kind in ("u1", "i4", "f4")},
-    **{
-        f"mdf {version}": partial(mdf, version=version)
-        for version in ("4.00", "4.20", "3.30", "3.20")
-    },
-    **{
-        f"mdf 3 {name}": partial(mdf, text=FORMULAS[name], version="3.30")
-        for name in ("open", "eval", "read", "tower")
-    },
+    **{f"mdf {version}": partial(mdf, version=version) for version in ("4.00", "3.30")},
+    "mdf 3 tower": partial(mdf, text=FORMULAS["tower"], version="3.30"),
     "mdf 3 at master": partial(mdf, version="3.30", place="master"),
     **{f"mdf xml {name}": partial(mdf_comment, text=text) for name, text in XML.items()},
     "mdf attachment": partial(mdf_attachment, embedded=True),
     "mdf other file": partial(mdf_attachment, embedded=False),
-    **{
-        f"hdf5 external {name}": partial(hdf5, fill=partial(external, **how))
-        for name, how in {
-            "file": {},
-            "relative": {"files": ("secret",)},
-            "two": {"files": ("{folder}/secret", "{folder}/secret")},
-            "matrix": {"shape": (100, 2)},
-            "one value": {"shape": (1,)},
-            "passwords": {"files": ("/etc/passwd",), "shape": (20,)},
-        }.items()
-    },
+    "hdf5 external file": partial(hdf5, fill=external),
+    "hdf5 external relative": partial(hdf5, fill=partial(external, name="secret")),
+    "hdf5 external passwords": partial(hdf5, fill=partial(external, name="/etc/passwd", n=20)),
     "mat 7.3 external": partial(hdf5, fill=external, suffix=".mat"),
-    **{
-        f"hdf5 virtual {name}": partial(hdf5, fill=partial(virtual, **how))
-        for name, how in {
-            "file": {},
-            "relative": {"source": "secret.h5"},
-            "pattern": {"source": "{folder}/secret.h5%%"},
-            "itself": {"source": "."},
-            "absent": {"source": "{folder}/absent.h5"},
-            "unlimited": {"length": 0},
-        }.items()
-    },
+    "hdf5 virtual file": partial(hdf5, fill=virtual),
+    "hdf5 virtual pattern": partial(hdf5, fill=partial(virtual, source="{folder}/secret.h5%%")),
+    "hdf5 virtual itself": partial(hdf5, fill=partial(virtual, source=".")),
+    "hdf5 virtual unlimited": partial(hdf5, fill=partial(virtual, is_unlimited=True)),
     "mat 7.3 virtual": partial(hdf5, fill=virtual, suffix=".mat"),
     "hdf5 virtual of external": partial(hdf5, fill=virtual_of_external),
     **{
         f"hdf5 link {target}": partial(hdf5, fill=partial(link, target=target))
-        for target in ("external", "external group", "loop", "hard loop", "through")
+        for target in ("external", "loop", "hard loop", "through")
     },
     **{
         f"hdf5 plug-in {number}": partial(hdf5, fill=partial(plugin, number=number))
-        for number in (305, 307, 32001, 32004, 32015, 65535)
+        for number in (32001, 65535)
     },
     "hdf5 references": partial(hdf5, fill=references),
     **{f"mat class {number}": partial(mat_class, number=number) for number in (3, 16, 17)},
     "mat pickle": mat_pickle,
-    **{
-        f"pickle as {suffix}": partial(pickled, suffix=suffix)
-        for suffix in (".mat", ".h5", ".mf4", ".tdms", ".uff", ".wav", ".parquet", ".csv")
-    },
+    **{f"pickle as {suffix}": partial(pickled, suffix=suffix) for suffix in SUFFIXES},
     "tdms index": partial(tdms, index=True),
-    **{
-        f"tdms {scale}": partial(tdms, scale=scale)
-        for scale in ("Formula", "Python", "Add", "Table")
-    },
+    "tdms Formula": partial(tdms, scale="Formula"),
+    "tdms Python": partial(tdms, scale="Python"),
     "parquet extension": parquet_extension,
     "parquet path": parquet_path,
     "uff": uff,
     "csv": csv,
-    **{
-        f"link as {suffix}": partial(linked, suffix=suffix)
-        for suffix in (".mat", ".h5", ".mf4", ".tdms", ".uff", ".wav", ".parquet", ".csv")
-    },
+    **{f"link as {suffix}": partial(linked, suffix=suffix) for suffix in SUFFIXES},
 }
 HARMLESS = (
     *("mdf xml laughs", "mdf xml entity", "mdf attachment", "mdf other file", "hdf5 references"),
-    *("tdms index", "tdms Formula", "tdms Python", "tdms Add", "tdms Table", "parquet extension"),
+    *("tdms index", "tdms Formula", "tdms Python", "parquet extension"),
     *("mdf at second group", "mdf at master", "mdf 3 at master", "uff"),
 )
-"""Those in which a column may be read, as what would act is beside it and ignored."""
+"""Those in which a column may be read, as what would act is next to it and ignored."""

@@ -140,18 +140,13 @@ def wav(
 # TDMS, MDF, UFF, CSV
 
 
-def patched(path: Path, old: bytes, new: bytes) -> Path:
-    """Return a file in which some bytes are replaced wherever they are."""
-    content = path.read_bytes()
-    assert old in content
-    path.write_bytes(content.replace(old, new))
-    return path
-
-
 def tdms(folder: Path, *, n: int, hole: int = 0) -> Path:
     """Write a TDMS file whose index declares n values, and perhaps a hole that holds them."""
     write_tdms(folder / "data.tdms", {"a": np.arange(5.0)})
-    path = patched(folder / "data.tdms", struct.pack("<IQ", 1, 5), struct.pack("<IQ", 1, n))
+    path = folder / "data.tdms"
+    old, new = (struct.pack("<IQ", 1, one) for one in (5, n))
+    assert old in path.read_bytes()
+    path.write_bytes(path.read_bytes().replace(old, new))
     if hole:
         content = path.read_bytes()
         place = content.index(b"TDSm", 4) if content.count(b"TDSm") > 1 else len(content)
@@ -163,7 +158,7 @@ def tdms(folder: Path, *, n: int, hole: int = 0) -> Path:
     return path
 
 
-def mdf(folder: Path, *, n: int, version="4.10", hole: bool = False) -> Path:
+def mdf(folder: Path, *, n: int, hole: bool = False) -> Path:
     """Write an MDF file whose channel group declares n records."""
     write_mdf(folder / "data.mf4", {"a": A})
     path = folder / "data.mf4"
@@ -216,10 +211,10 @@ def uff_hole(folder: Path) -> Path:
     return folder / "data.uff"
 
 
-def csv_hole(folder: Path, *, text: str, size: int = 2**40) -> Path:
+def csv_hole(folder: Path, *, text: str) -> Path:
     """Write a CSV file that goes on with a hole."""
     (folder / "data.csv").write_text(text)
-    os.truncate(folder / "data.csv", size)
+    os.truncate(folder / "data.csv", 2**40)
     return folder / "data.csv"
 
 
@@ -243,54 +238,42 @@ def no_file(folder: Path, *, suffix: str, kind: str) -> Path:
     return path
 
 
-NOT_FILES = ("pipe", "folder", "socket", "loop", "/dev/zero", "/dev/random", "/dev/tty")
+NOT_FILES = ("pipe", "folder", "socket", "loop", "/dev/zero", "/dev/tty")
 SUFFIXES = (".csv", ".h5", ".mat", ".mf4", ".parquet", ".tdms", ".uff", ".wav")
 ROWS = "t,a\n" + "".join(f"{i},{i}\n" for i in range(40_000))
 DECLARING = {
-    **{f"hdf5 of {n:.0e}": partial(hdf5, shape=(n,)) for n in (10**8, 10**9, 10**11, 10**15)},
-    **{
-        f"hdf5 in chunks of {n:.0e}": partial(hdf5, shape=(n,), chunks=(10**5,))
-        for n in (10**8, 10**11)
-    },
-    **{
-        f"hdf5 packed, of {n:.0e}": partial(hdf5, shape=(n,), chunks=(10**4,), compression="gzip")
-        for n in (10**8, 10**10)
-    },
+    **{f"hdf5 of {n:.0e}": partial(hdf5, shape=(n,)) for n in (10**8, 10**11, 10**15)},
+    "hdf5 in chunks": partial(hdf5, shape=(10**11,), chunks=(10**5,)),
+    "hdf5 packed": partial(hdf5, shape=(10**10,), chunks=(10**4,), compression="gzip"),
     "hdf5 matrix": partial(hdf5, shape=(3, 10**10)),
     "hdf5 of one piece": partial(hdf5, shape=(10**8,), chunks=(10**8,), compression="gzip"),
-    "hdf5 of large pieces": partial(
-        hdf5, shape=(6 * 10**7,), chunks=(6 * 10**7,), compression="gzip"
-    ),
-    "hdf5 of zeros": partial(hdf5_packed, n_chunks=8),
-    "hdf5 of many zeros": partial(hdf5_packed, n_chunks=100),
+    "hdf5 of zeros": partial(hdf5_packed, n_chunks=100),
     "hdf5 notes": partial(hdf5_note, size=2**31 - 1),
-    **{f"mat 7.3 of {n:.0e}": partial(hdf5, shape=(1, n), suffix=".mat") for n in (10**8, 10**11)},
+    "mat 7.3": partial(hdf5, shape=(1, 10**11), suffix=".mat"),
     **{f"mat of {n:.0e}": partial(mat, n=n) for n in (10**8, 2 * 10**9)},
     "mat of rows": partial(mat, n=10**8, rows=3),
     "mat packed, 0.5 GB": partial(mat, n=6 * 10**7, packed_bytes=480_000_000),
-    "mat packed, 0.9 GB": partial(mat, n=2**27, packed_bytes=2**30),
     "mat packed, 3 GB": partial(mat, n=4 * 10**8, packed_bytes=3 * 2**30),
     "mat packed bytes": partial(mat, n=2 * 10**9, packed_bytes=2**31, kind=2),
     "mat packed, empty": partial(mat, n=6 * 10**7, packed_bytes=2**22),
-    "mat packed matrix": partial(mat, n=10**8, rows=20, packed_bytes=2**31),
-    **{f"mat 4 of {n:.0e}": partial(mat_4, n=n) for n in (10**8, 2 * 10**9)},
+    "mat 4": partial(mat_4, n=2 * 10**9),
     "mat 4 matrix": partial(mat_4, n=6 * 10**7, columns=50),
-    **{f"parquet of {n:.0e}": partial(parquet, n=n) for n in (10**8, 10**9)},
+    "parquet of nothing": partial(parquet, n=10**9),
     "parquet of zeros": partial(parquet, n=2 * 10**8, kind="zero"),
     "parquet of columns": partial(parquet_columns, n_columns=2000),
     **{
         f"wav of {bits} bits, {form}": partial(wav, n_bytes=4 * 10**9, bits=bits, form=form)
-        for bits, form in ((8, 1), (16, 1), (24, 1), (32, 1), (32, 3), (64, 3))
+        for bits, form in ((8, 1), (16, 1), (24, 1), (64, 3))
     },
     "wav of channels": partial(wav, n_bytes=4 * 10**9, channels=2),
     "wav of 24 bits, 0.2 GB": partial(wav, n_bytes=3 * 6 * 10**7, bits=24, channels=1),
     "wav of a terabyte": partial(wav, n_bytes=10**12, rf64=True),
-    **{f"tdms of {n:.0e}": partial(tdms, n=n) for n in (10**9, 10**11, 2**63)},
-    **{f"tdms with a hole, {n:.0e}": partial(tdms, n=n, hole=8 * n) for n in (10**8, 10**10)},
+    **{f"tdms of {n:.0e}": partial(tdms, n=n) for n in (10**11, 2**63)},
+    "tdms with a hole": partial(tdms, n=10**10, hole=8 * 10**10),
     **{f"mdf of {n:.0e}": partial(mdf, n=n) for n in (10**8, 10**11, 2**62)},
-    **{f"mdf with a hole, {n:.0e}": partial(mdf, n=n, hole=True) for n in (10**8, 10**10)},
-    **{f"mdf packed, {size:.0e}": partial(mdf_packed, size=size) for size in (10**10, 10**15)},
-    **{f"uff of {n:.0e}": partial(uff, n=n) for n in (10**8, 9 * 10**9)},
+    "mdf with a hole": partial(mdf, n=10**10, hole=True),
+    "mdf packed": partial(mdf_packed, size=10**15),
+    "uff of 9e+09": partial(uff, n=9 * 10**9),
     "uff with a hole": uff_hole,
     "csv with a hole": partial(csv_hole, text=ROWS),
     "csv of blanks with a hole": partial(csv_hole, text=ROWS.replace(",", " ")),
@@ -303,7 +286,7 @@ DECLARING = {
     },
 }
 WITHIN_BOUNDS = (
-    *("mdf packed, 1e+10", "mdf packed, 1e+15", "hdf5 notes", "parquet of columns"),
-    *("tdms of 1e+09", "tdms of 1e+11", "uff of 1e+08", "uff of 9e+09", "wav of 24 bits, 0.2 GB"),
+    *("mdf packed", "hdf5 notes", "parquet of columns", "tdms of 1e+11", "uff of 9e+09"),
+    "wav of 24 bits, 0.2 GB",
 )
 """Those in which a column may be read: what is there of it is no longer than recordings are."""

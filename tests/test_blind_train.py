@@ -51,9 +51,8 @@ def rigid_motions(train):
     return found
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_springs_and_dampers_resist_no_rigid_motion(seed):
-    train = replace(Train.scattered(seed), contact_k=0.0, creep_x=0.0, creep_y=0.0, gravity_k=0.0)
+def test_springs_and_dampers_resist_no_rigid_motion():
+    train = replace(Train.scattered(0), contact_k=0.0, creep_x=0.0, creep_y=0.0, gravity_k=0.0)
     motion = Motion(train, 70.0)
     rigid = rigid_motions(train)
     assert np.abs(motion.stiffness @ rigid.T).max() < 1e-6
@@ -87,15 +86,6 @@ def test_vertical_modes_are_those_of_two_masses(bounce):
         assert np.abs(poles.imag - omega).min() < 1e-4 * omega
 
 
-def test_frame_pitches_on_its_springs():
-    train = replace(Train(**STIFF), primary_c=np.full((2, 4), 1e-3), secondary_kxy=0.0)
-    train = replace(train, yaw_damper_c=1e-3)
-    stiffness = 4 * (0.65e6 * 1.35**2 + train.primary_kx * train.primary_z_m**2)
-    omega = np.sqrt(stiffness / (train.frame_kg * train.frame_gyration_m[1] ** 2))
-    poles = np.linalg.eigvals(Motion(train, 70.0).a)
-    assert np.abs(poles.imag - omega).min() < 1e-4 * omega
-
-
 def test_slow_track_lifts_and_rolls_everything_alike():
     motion = Motion(Train.scattered(1), 70.0)
     scale = -((2 * np.pi * 0.01) ** 2)
@@ -106,7 +96,7 @@ def test_slow_track_lifts_and_rolls_everything_alike():
     np.testing.assert_allclose(rolled, gauge, atol=0.01)
 
 
-@pytest.mark.parametrize("frequency", [0.7, 3.0, 11.0, 24.0])
+@pytest.mark.parametrize("frequency", [0.7, 11.0])
 def test_symmetric_vehicle_separates_sides(frequency):
     motion = Motion(Train(torsion_hz=35.0), 70.0)
     rng = np.random.default_rng(0)
@@ -159,13 +149,7 @@ def test_wheelset_runs_in_waves_of_klingel():
     assert np.abs(poles - 1j * expected).min() < 0.02 * expected
 
 
-def test_wheelsets_without_guidance_hunt():
-    train = replace(Train(), primary_kx=1e3, primary_ky=1e3, conicity=0.3)
-    with pytest.raises(ValueError, match="unstable"):
-        Motion(train, 70.0).poles()
-
-
-@pytest.mark.parametrize("frequency", [0.8, 5.0, 20.0])
+@pytest.mark.parametrize("frequency", [0.8, 20.0])
 def test_reverse_is_the_turned_vehicle_forward(frequency):
     train = scattered()
     backward, turned = Motion(train, -66.0), Motion(train.turned(), 66.0)
@@ -208,12 +192,6 @@ def test_track_has_its_density_and_is_delayed():
     np.testing.assert_allclose(behind, inputs[0], atol=1e-9 * np.abs(inputs[0]).max())
 
 
-def test_german_track_has_the_rms_of_its_source():
-    n = np.linspace(1 / 25, 1 / 3, 20000)  # [1/m]
-    density = Track().densities(n, 1.0)[0]
-    assert 1e3 * np.sqrt(np.trapezoid(density, n)) == pytest.approx(0.98, rel=0.01)
-
-
 def test_wheelsets_alone_get_their_share():
     motion, run = Motion(Train(), 70.0), Run(alone_share=0.5)
     inputs, frequencies = track_inputs(motion, Track(), run, 2**17, np.random.default_rng(0))
@@ -226,33 +204,21 @@ def test_wheelsets_alone_get_their_share():
 
 
 def test_ratios_scale_the_part_of_their_name():
-    train = Train.scattered(2)
+    train, kinds = Train.scattered(2), ("primary_k", "primary_c", "secondary_k", "secondary_c")
     assert COMPONENTS == parameters.COMPONENTS
-    for name, kind, place in [
-        ("k_p_axle1_right", "primary_k", (0, 1)),
-        ("c_p_axle2_left", "primary_c", (0, 2)),
-        ("k_s_right", "secondary_k", (0, 1)),
-        ("c_s_left", "secondary_c", (0, 0)),
-    ]:
+    worn_parts = ("k_p_axle1_right", "c_p_axle2_left", "k_s_right", "c_s_left")
+    for name, kind, place in zip(worn_parts, kinds, ((0, 1), (0, 2), (0, 1), (0, 0)), strict=True):
         ratios = np.ones(13)
         ratios[COMPONENTS.index(name)] = 0.5
         worn = train.worn(ratios)
-        for other in ("primary_k", "primary_c", "secondary_k", "secondary_c"):
+        for other in kinds:
             ratio = getattr(worn, other) / getattr(train, other)
             expected = np.ones_like(ratio)
-            if other == kind:
-                expected[place] = 0.5
+            expected[place if other == kind else ()] *= 0.5 if other == kind else 1
             np.testing.assert_allclose(ratio, expected)
     heavy = train.worn([1.0] * 12 + [1.25])
     assert heavy.body_kg == pytest.approx(1.25 * train.body_kg)
     assert heavy.body_kg * heavy.bending_hz**2 == pytest.approx(train.body_kg * train.bending_hz**2)
-
-
-def test_parts_of_a_kind_differ_by_five_percent():
-    kinds = [Train.scattered(s).primary_c for s in range(100)]
-    means = [Train.scattered(s, unequal=0.0).primary_c for s in range(100)]
-    assert np.std(np.divide(kinds, means)) == pytest.approx(0.05, abs=0.005)
-    assert np.std(np.log(means)) == pytest.approx(0.09, abs=0.02)
 
 
 def test_trip_is_read_as_it_was_written(tmp_path):
@@ -267,11 +233,3 @@ def test_trip_is_read_as_it_was_written(tmp_path):
     np.testing.assert_allclose(noise.std(axis=1) / clean.std(axis=1), 10**-1.7, rtol=0.02)
     ideal = record(replace(train, sensitivity=np.ones(6)), Track(), replace(run, noise=False), 7)
     np.testing.assert_allclose(clean / ideal, train.sensitivity[:, None] + 0 * ideal, rtol=1e-6)
-
-
-def test_delay_makes_a_sensor_late():
-    train = replace(Train(), delay_s=np.array([0.01, 0, 0, 0, 0, 0]))
-    run = Run(minutes=1.0, noise=False)
-    late, ideal = record(train, Track(), run, 7), record(Train(), Track(), run, 7)
-    np.testing.assert_allclose(late[0, 2:], ideal[0, :-2], atol=1e-9)
-    np.testing.assert_allclose(late[1:], ideal[1:], atol=1e-12)

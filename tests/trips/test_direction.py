@@ -17,7 +17,6 @@ from trip_fixtures import (
 from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
-from suspnet.dynamics.quantities import LogNormal
 from suspnet.estimation.healthy_trips import read_healthy
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.recordings.manifest_files import read_manifest
@@ -35,9 +34,9 @@ FREQUENCIES = torch.arange(0.05, 20, 0.05, dtype=torch.float64)
 
 @pytest.fixture(scope="module")
 def both_ways(tmp_path_factory):
-    """Return the manifests of four worn trips, the second and the fourth run in reverse."""
+    """Return the manifests of two worn trips, the second run in reverse."""
     folder, wear = tmp_path_factory.mktemp("both"), Scenario("worn", spread=0.3)
-    return write_trips(folder / "trips", 4, wear, seed=2, direction="both")
+    return write_trips(folder / "trips", 2, wear, seed=2, direction="both")
 
 
 @pytest.fixture(scope="module")
@@ -56,12 +55,7 @@ def exact(generator, ratios):
 # reference
 
 
-def test_manifests_alternate(both_ways):
-    found = [read_manifest(path).direction for path in both_ways]
-    assert found == ["forward", "reverse", "forward", "reverse"]
-
-
-@pytest.mark.parametrize("i", [0, 1, *(pytest.param(i, marks=pytest.mark.slow) for i in (2, 3))])
+@pytest.mark.parametrize("i", [0, 1])
 def test_trips_of_both_directions_are_as_close_to_the_truth(both_ways, models, i):
     result = recalled_trip(both_ways[i], models, SETTINGS)
     assert result.status == "ok", result.reason
@@ -127,21 +121,10 @@ def test_phases_show_the_direction_of_worn_vehicles(speed, bogie):
             assert factor > DIRECTION_MARGIN
 
 
-@pytest.mark.slow  # worn ones are above
-def test_phases_of_vehicles_unlike_their_drawing_never_show_the_wrong_direction():
-    for speed in (30.0, 70.0):
-        drawing = VerticalVehicle(AM96, speed_m_per_s=speed, parts=PARTS)
-        family = replace(drawing, distribution=LogNormal.prior(PARTS))
-        rows = family.sample_unmeasured(torch.ones(20, 5), seed=int(speed))
-        for row in rows:
-            found, factor = shown_direction(exact(drawing, row[None]), FREQUENCIES, drawing)
-            assert found == "forward" or factor < DIRECTION_MARGIN
-
-
 def test_healthy_trips_have_their_direction_said_or_not(both_ways, tmp_path):
     settings = EstimateSettings(rates_hz=RATES_HZ, minutes=5.0, cache_dir=None).bound(AM96)
     said = read_healthy(both_ways[0].parent, VerticalVehicle(AM96), settings, SETTINGS)
-    expected = ["forward", "reverse", "forward", "reverse"]
+    expected = ["forward", "reverse"]
     assert [group.direction for group in said.groups] == expected
     for i, path in enumerate(both_ways):
         changed(path, tmp_path, f"trip_{i}", direction=None)
@@ -152,23 +135,20 @@ def test_healthy_trips_have_their_direction_said_or_not(both_ways, tmp_path):
 # failure
 
 
-def test_wrong_direction_is_refused(both_ways, models, tmp_path):
-    wrong = changed(both_ways[1], tmp_path, direction="forward")
-    found = evaluate_trip(wrong, models, SETTINGS)
+@pytest.mark.parametrize(
+    ("direction", "n_models", "reason"),
+    [
+        ("forward", 2, "phases fit a train that runs in reverse"),
+        (None, 1, "runs in reverse"),
+        ("reverse", 1, "the trip was run in reverse, the models are for trips forward"),
+        ("back", 1, "`direction` must be"),
+    ],
+)
+def test_wrong_direction_is_refused(both_ways, models, tmp_path, direction, n_models, reason):
+    path = changed(both_ways[1], tmp_path, direction=direction)
+    found = evaluate_trip(path, models[:n_models], SETTINGS)
     assert found.status == "error"
-    assert "phases fit a train that runs in reverse" in found.reason
-    assert "check `direction`, `bogie` and `axle`" in found.reason
-    # likewise where nothing is said and all models are of the other direction
-    silent = changed(both_ways[1], tmp_path, "silent", direction=None)
-    assert "runs in reverse" in evaluate_trip(silent, models[:1], SETTINGS).reason
-
-
-def test_models_of_the_other_direction_are_refused(both_ways, models):
-    found = evaluate_trip(both_ways[1], models[:1], SETTINGS)
-    assert found.status == "error"
-    assert found.reason == (
-        "the trip was run in reverse, the models are for trips forward: train with direction=both"
-    )
+    assert reason in found.reason
 
 
 def test_direction_is_asked_for_where_the_phases_do_not_show_it(
@@ -180,9 +160,3 @@ def test_direction_is_asked_for_where_the_phases_do_not_show_it(
     assert found.status == "error"
     assert "forward or in reverse" in found.reason
     assert "give `direction: forward` or `direction: reverse`" in found.reason
-
-
-def test_manifest_with_another_word_is_refused(both_ways, tmp_path):
-    found = evaluate_trip(changed(both_ways[0], tmp_path, direction="back"), [model_at()], SETTINGS)
-    assert found.status == "error"
-    assert "`direction` must be" in found.reason

@@ -53,15 +53,6 @@ def test_health_trend_shows_percent_of_healthy_over_thousands_of_km():
     assert figure.axes[-1].get_xlabel() == "mileage [1000 km]"
 
 
-def test_health_trend_shows_the_truth_only_where_it_is_known():
-    trips = [replace(r, truth={"k_p": 0.9} if i < 4 else {}) for i, r in enumerate(fleet(6, ()))]
-    figure = health_trend(trend_of(trips, ("k_p", "c_p")))
-    x, y = labelled(figure.axes[0], "truth (simulated)")
-    np.testing.assert_allclose(x, [10, 20, 30, 40])
-    np.testing.assert_allclose(y, 90.0)
-    assert "truth (simulated)" not in [line.get_label() for line in figure.axes[1].lines]
-
-
 def test_a_parameter_missing_from_one_trip_is_marked_in_its_panel_alone():
     trips = fleet(5, ())
     trips[2] = replace(trips[2], estimates=trips[2].estimates | {"c_p": np.nan})
@@ -158,13 +149,6 @@ def test_gaps_in_every_curve_can_be_drawn():
     gaps.responses[:, 5] = np.nan
     for figure in whole([trip(0), failed(), trip(2, curves=gaps)]):
         draw(figure)
-
-
-def test_constant_speed_is_drawn_below_the_frame():
-    seen = curves()
-    seen.overview_speed[:] = 64.0
-    axis = figures.trip_signals(trip(0, curves=seen)).axes[3]
-    assert axis.get_ylim() == pytest.approx((0, 1.1 * 3.6 * 64.0))
 
 
 def test_a_trip_that_failed_before_it_was_read_can_be_drawn():

@@ -10,7 +10,6 @@ from trip_records import HALF_WIDTHS, OUTPUTS, flagged, fleet, trend_of, trip
 
 from suspnet.maintenance import Alarm, Cause, Life, Severity
 from suspnet.report.maintenance_figures import AHEAD, health_trend
-from suspnet.report.trend import LEAST_SPAN_PERCENT
 
 FEW = OUTPUTS[:2]
 FLAGGED, BEYOND, INTERVAL = "flagged: see the table", "beyond the axis", "its 90 % interval"
@@ -70,12 +69,6 @@ def test_bars_are_the_intervals_in_percent():
         assert high > np.max(expected, axis=0)[2]
 
 
-def test_level_is_that_of_the_legend():
-    axis = made(measured(), level=0.95)[0]
-    assert "its 95 % interval" in legend(axis)
-    assert len(bars(axis, "its 95 % interval")) == 12
-
-
 def test_flagged_trips_are_hollow_and_without_interval():
     trips = measured()
     trips[2] = flagged(trips[2])
@@ -91,24 +84,12 @@ def test_flagged_trips_are_hollow_and_without_interval():
         assert FLAGGED in legend(axis)
 
 
-def test_without_intervals_and_flags_the_figure_is_as_before():
-    axes = made(fleet(12, ()))
-    assert FLAGGED not in legend(axes[0])
-    for axis, name in zip(axes, FEW, strict=True):
-        assert not axis.collections
-        values = [100 * r.estimates[name] for r in fleet(12, ())]
-        low, high = axis.get_ylim()
-        assert low <= min(values)
-        assert high >= max(values)
-        assert high - low <= max(1.2 * np.ptp([*values, 100.0]), LEAST_SPAN_PERCENT + 1e-9)
-
-
 # limit: what the axis holds
 
 
-@pytest.mark.every_value
-@pytest.mark.parametrize(("value", "edge", "words"), [(0.27, 0, "27 %"), (2.5, 1, "250 %")])
-@pytest.mark.parametrize("place", [0, 6, 11])
+@pytest.mark.parametrize(
+    ("value", "edge", "words", "place"), [(0.27, 0, "27 %", 0), (2.5, 1, "250 %", 11)]
+)
 def test_a_single_odd_trip_does_not_spoil_the_axis(value, edge, words, place):
     trips = measured()
     usual = made(trips)[0].get_ylim()
@@ -127,15 +108,6 @@ def test_a_lasting_change_stays_on_the_axis_though_flagged():
     trips += [flagged(trip(i), c_s=0.3) for i in range(9, 12)]
     (axis,) = drawn(trips, ("c_s",))
     assert axis.get_ylim()[0] < 30
-    assert BEYOND not in labels(axis)
-
-
-def test_a_flagged_trip_near_the_others_widens_the_axis():
-    trips = measured()
-    usual = made(trips)[0].get_ylim()
-    trips[5] = flagged(trips[5], k_p=0.985)
-    axis = made(trips)[0]
-    assert usual[0] > 98.5 > axis.get_ylim()[0]
     assert BEYOND not in labels(axis)
 
 
@@ -158,19 +130,10 @@ def test_levels_that_no_suspension_has_are_beyond_the_axis():
     assert len(points(axis, BEYOND)[0]) == 3
 
 
-def test_a_wide_interval_is_cut_off_at_the_span_of_the_others():
-    trips = measured()
-    trips[5] = replace(trips[5], half_widths=HALF_WIDTHS | {"k_p": 2.0})
-    axis = made(trips)[0]
-    assert np.ptp(axis.get_ylim()) < 4 * np.ptp(made(measured())[0].get_ylim())
-    assert len(bars(axis)) == 12
-
-
 # failure
 
 
-@pytest.mark.representatives(1)
-@pytest.mark.parametrize("half", [np.nan, np.inf, 1000.0])
+@pytest.mark.parametrize("half", [np.nan, np.inf])
 def test_unknown_intervals_are_left_out(half):
     trips = measured()
     trips[5] = replace(trips[5], half_widths=dict.fromkeys(OUTPUTS, half))
@@ -179,12 +142,6 @@ def test_unknown_intervals_are_left_out(half):
         axis = drawn(trips)[0]
     assert 60.0 not in bars(axis)[:, 0]
     assert 60.0 in points(axis, "trip")[0]
-
-
-def test_a_lone_flagged_trip_is_shown():
-    axis = made([flagged(trip(3), k_p=0.2)])[0]
-    np.testing.assert_allclose(points(axis, FLAGGED)[:, 0], [40.0, 20.0])
-    assert BEYOND not in labels(axis)
 
 
 # alarms and remaining life

@@ -7,26 +7,22 @@ import numpy as np
 import pytest
 import torch
 from reference import phasors
-from rich_modes import Modes, simulate_modes
+from rich_modes import simulate_modes
 from rich_motion import simulate
 from rich_spectra import (
     SIDES,
-    drawn_estimates,
     expected_estimates,
     noise_densities,
     process_spectra,
     responses_of,
     spectra,
 )
-from rich_structure import second_bending_shape
-from rich_train import EFFECTS, FAMILY, OUTSIDE, SCATTER, RichTrain
+from rich_train import FAMILY, SCATTER, RichTrain
 from rich_train_trips import true_ratios
-from rich_vehicle import RichVehicle, bending_shape
-from scipy.signal import csd
+from rich_vehicle import RichVehicle
 from trips_reference import pitching_matrices, pitching_numbers
 from vehicles import AM96
 
-from benchmarks.foreign_trains import CASES
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
 from suspnet.dynamics.quantities import UNMEASURED
 from suspnet.spectra.estimates import EstimateSettings
@@ -108,18 +104,6 @@ def test_vertical_train_moves_as_the_half_vehicle_written_by_hand(parts):
     np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
-@pytest.mark.parametrize("share", [-0.1, 0.3])
-def test_sensor_on_the_arm_feels_the_frame_above_the_axle(share):
-    train = RichTrain.scattered(6, {"roll", "axle_box_arm"}, sensor_on_arm=share)
-    plain, found = (
-        responses_of(replace(train, sensor_on_arm=one), WORN, BINS) for one in (0.0, share)
-    )
-    for side in (0, 1):  # the frame's sensor is above the axle
-        expected = (1 - share) * plain[:, side] + share * plain[:, 2 + side]
-        np.testing.assert_allclose(found[:, side], expected, rtol=1e-12)
-    np.testing.assert_array_equal(found[:, 2:], plain[:, 2:])
-
-
 def test_sensor_on_the_arm_is_the_part_of_the_family():
     train = RichTrain(sensor_on_arm=0.07)
     box, frame, body = responses_of(train, WORN, BINS, "mean")[..., 0].T
@@ -170,17 +154,6 @@ def test_modes_move_as_the_dynamic_stiffness_says():
     assert error.max() < 2e-4
 
 
-@pytest.mark.slow  # see test_laws_act_on_both_sides_as_on_the_half_vehicle
-def test_stepping_of_the_nonlinear_laws_gives_the_modes_where_they_do_not_act():
-    effects = {*LINEAR, "blow_off", "friction"}
-    train = RichTrain.scattered(3, effects, blow_off_m_per_s=1e6, friction_share=1e-12)
-    track = tones(train, [0.9, 5.1, 9.0])
-    found = simulate([WORN], train, [track], 1000.0, 2000, 20_000)[0]
-    linear = simulate_modes(train.matrices(WORN), track, 1000.0, 2000, 20_000)
-    error = np.abs(found - linear).max(axis=1) / np.abs(linear).max(axis=1)
-    assert error.max() < 2e-4  # the two start differently, 20 s before
-
-
 def test_laws_act_on_both_sides_as_on_the_half_vehicle():
     train = RichTrain(frozenset({"rubber", "friction", "blow_off"}))
     rich = RichVehicle(dampers=True, rubber=True)
@@ -191,36 +164,6 @@ def test_laws_act_on_both_sides_as_on_the_half_vehicle():
         size = np.abs(expected[sensor // 2]).max()
         # the step's error is another one: each damper is implicit in its own force
         np.testing.assert_allclose(one, expected[sensor // 2], rtol=0, atol=1e-4 * size)
-
-
-@pytest.mark.slow  # test_drawn_estimates_scatter_about_the_expected_ones
-def test_spectra_are_those_of_a_long_trip():
-    train, rate_hz = RichTrain.scattered(2), 200.0
-    n, rng = 200_000, np.random.default_rng(0)
-    lags = np.rint(train.behind_m / SPEED * rate_hz).astype(int)
-    white = rng.standard_normal((3, n + lags.max()))
-    inputs = np.concatenate([[w[lags.max() - lag :][:n] for lag in lags] for w in white])
-    found = Modes(train.matrices(WORN), rate_hz).advance(np.pad(inputs, ((0, 0), (1, 1))))[0::2]
-    f, measured = csd(found[:, None], found[None], rate_hz, nperseg=4096)
-    band = (f > 0.5) & (f < 12)
-    late = np.exp(-2j * np.pi * f[band, None] * lags / rate_hz)
-    arrivals = np.kron(np.eye(3), np.ones((4, 1))) * np.tile(late, 3)[..., None]
-    response = train.matrices(WORN).responses(f[band], arrivals)[:, 0::2]
-    expected = np.einsum("fip,fjp->jif", response, response.conj()) * 2 / rate_hz  # E[conj(X) Y]
-    size = np.sqrt(np.einsum("iif->if", expected).real)
-    error = (measured[..., band] - expected) / (size[:, None] * size[None])
-    assert np.sqrt(np.mean(np.abs(error) ** 2)) < 0.15  # 97 segments, overlapping
-    assert np.abs(error.mean(axis=-1)).max() < 0.02
-
-
-def test_second_bending_is_that_of_a_free_beam():
-    x, h = np.linspace(-13.3, 13.3, 100_001, retstep=True)
-    shape = second_bending_shape(x, 26.6)
-    assert np.trapezoid(shape**2, x) == pytest.approx(26.6, rel=1e-6)
-    for other in (np.ones_like(x), x, bending_shape(x, 26.6)):  # no pitch in it
-        assert np.trapezoid(shape * other, x) == pytest.approx(0, abs=1e-6)
-    curvature = (shape[2:] - 2 * shape[1:-1] + shape[:-2]) / h**2
-    assert abs(curvature[-1]) < 1e-3 * np.abs(curvature).max()
 
 
 def test_cross_level_and_alignment_are_the_german_ones():
@@ -252,16 +195,6 @@ def test_rigid_motion_of_the_track_makes_no_force(effects):
     np.testing.assert_allclose(aside, 0.0, atol=1e-6)
 
 
-def test_train_without_effects_has_the_states_of_plain_bodies():
-    plain, full = RichTrain().matrices(WORN), RichTrain(frozenset(LINEAR)).matrices(WORN)
-    assert len(plain.mass) == 3 * 5 + 4 * 2
-    assert len(plain.series) == 0
-    assert len(full.mass) == 3 * 5 + 4 * 4 + 2
-    assert len(full.series) == 4 + 8 + 8
-    assert plain.stiffness.shape[1] - len(plain.mass) == 4  # the mean under each wheelset
-    assert full.stiffness.shape[1] - len(full.mass) == 12
-
-
 # property
 
 
@@ -274,16 +207,6 @@ def test_every_train_is_stable_and_has_mass(speed):
             assert (matrices.mass > 0).all()
             a, _, _ = matrices.state_space()
             assert np.linalg.eigvals(a).real.max() < -0.2
-
-
-def test_springs_and_dampers_only_take_energy():
-    train = RichTrain.scattered(1, LINEAR, creep_n=0.0)
-    matrices = train.matrices(WORN)
-    n = len(matrices.mass)
-    for part in (matrices.stiffness, matrices.damping):
-        np.testing.assert_allclose(part[:, :n], part[:, :n].T, atol=1e-9 * np.abs(part).max())
-        assert np.linalg.eigvalsh(part[:, :n]).min() > -1e-9 * np.abs(part).max()
-    assert np.linalg.eigvalsh(matrices.stiffness[:, :n]).min() > 0
 
 
 def test_average_of_both_sides_does_not_see_roll():
@@ -312,20 +235,6 @@ def test_pair_sees_about_the_mean_where_one_side_wears():
     assert true_ratios(RichTrain(), WORN, "mean")["k_p"] == WORN[0]
 
 
-@pytest.mark.parametrize("effect", [e for e in EFFECTS if e not in ("healthy", "drift")])
-def test_each_effect_changes_what_the_sensors_see(effect):
-    train = RichTrain.scattered(1, {effect})
-    track = tones(RichTrain(), [1.4, 5.2, 9.0], velocity=0.3)
-    if train.is_linear:
-        plain, found = (
-            spectra(one, [WORN], BINS, "left") for one in (RichTrain.scattered(1, ()), train)
-        )
-    else:
-        plain, found = (simulate([WORN], one, [track], 500.0, 1000) for one in (RichTrain(), train))
-    change = np.abs(found / plain - 1)
-    assert change.max() > 5e-3
-
-
 def test_scatter_depends_on_seed_and_name_alone():
     one, again, other = (RichTrain.scattered(seed) for seed in (7, 7, 8))
     assert one == again
@@ -339,19 +248,6 @@ def test_scatter_depends_on_seed_and_name_alone():
     draws = np.array([RichTrain.scattered(seed).c_p for seed in range(200)])
     assert math.exp(-0.4) <= draws.min() < 0.75
     assert 1.35 < draws.max() <= math.exp(0.4)
-
-
-@pytest.mark.slow  # the expected ones are tested
-def test_drawn_estimates_scatter_about_the_expected_ones():
-    train, ratios = RichTrain.scattered(1), np.tile(WORN, (40, 1))
-    expected = expected_estimates(train, WORN[None], SETTINGS)
-    drawn = drawn_estimates(train, ratios, SETTINGS, seed=3)
-    assert drawn.auto.shape == (40, 3, len(SETTINGS.frequencies_hz()))
-    ratio = drawn.auto / expected.auto
-    assert ratio.mean() == pytest.approx(1, abs=5e-3)
-    assert ratio.std() == pytest.approx(1 / math.sqrt(expected.n_averages), rel=0.05)
-    once, again = (drawn_estimates(train, ratios[:2], SETTINGS, seed=3) for _ in range(2))
-    assert torch.equal(once.cross, again.cross)
 
 
 def test_expected_estimates_of_the_plain_train_are_those_of_training_curves():
@@ -380,37 +276,3 @@ def test_spectra_of_both_sides_hold_every_combination():
 
 
 # failure
-
-
-def test_effects_must_be_known():
-    with pytest.raises(ValueError, match="`effects` must be some of"):
-        RichTrain(frozenset({"wings"}))
-    assert not set(FAMILY) & set(OUTSIDE)
-
-
-def test_nonlinear_trains_have_no_spectra():
-    with pytest.raises(ValueError, match="simulate trips"):
-        spectra(RichTrain(frozenset({"friction"})), [WORN], BINS)
-
-
-@pytest.mark.parametrize(
-    ("name", "faults"),
-    [
-        ("all+other bogie at 70 %", {"other_c_s": 0.7}),
-        ("all+other bogie flat", {"other_k_s": 8.0, "other_c_s": 0.1}),
-    ],
-)
-def test_other_bogie_of_a_case_is_healthy_until_its_train_wears(name, faults):
-    healthy = CASES["all"].train(3)
-    assert CASES[name].train(3) == healthy
-    assert CASES[name].train(3, with_faults=True) == replace(healthy, **faults)
-    frequencies = np.array([1.0, 5.0])
-    worn = spectra(replace(healthy, **faults), [HEALTHY], frequencies)
-    assert np.abs(worn / spectra(healthy, [HEALTHY], frequencies) - 1).max() > 0.01
-
-
-@pytest.mark.parametrize(("percent", "share"), [("0.1", 0.001), ("1", 0.01), ("5", 0.05)])
-def test_wheelsets_of_a_case_are_excited_at_the_share_of_its_name(percent, share):
-    case = CASES[f"all+wheelsets {percent} %"]
-    assert case.in_spectra_only
-    assert case.train(3) == replace(CASES["all+wheelsets"].train(3), wheelset_share=share)

@@ -5,7 +5,7 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 from rich_spectra import expected_estimates
-from rich_train import FAMILY, RichTrain
+from rich_train import RichTrain
 from rich_train_trips import write_train_trips
 from scipy.signal import csd
 from vehicles import AM96
@@ -119,59 +119,4 @@ def test_pair_average_of_a_trip_is_that_on_the_mean_track_alone(tmp_path):
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-6 * np.abs(b).max())
 
 
-@pytest.mark.slow
-def test_each_trip_has_its_own_speed_and_its_own_draws(tmp_path):
-    fleet, train = fleet_of(3), RichTrain.scattered(1, {*FAMILY, "drift"})
-    write = {"ratios": np.ones((3, 5)), "fleet": fleet, "seed": 4}
-    speeds = [30.0, 55.0, 85.0]
-    found = write_train_trips(tmp_path / "a", train, **write, speeds_m_per_s=speeds)
-    ends = np.array([columns(path, "speed")["speed"][[0, -1]] for path in found])
-    np.testing.assert_allclose(ends[:, 0], speeds)
-    np.testing.assert_allclose(np.abs(ends[:, 1] / ends[:, 0] - 1), 0.03, rtol=1e-5)
-    again = write_train_trips(tmp_path / "b", train, **write, speeds_m_per_s=speeds)
-    write |= {"ratios": np.ones((1, 5))}
-    alone = write_train_trips(tmp_path / "c", train, **write, speeds_m_per_s=speeds[:1])
-    for channel in CHANNELS:
-        first = columns(found[0], channel)["right"]
-        np.testing.assert_array_equal(first, columns(again[0], channel)["right"])
-        np.testing.assert_array_equal(first, columns(alone[0], channel)["right"])
-        assert abs(np.corrcoef(first, columns(found[1], channel)["right"])[0, 1]) < 0.5
-
-
-@pytest.mark.slow
-def test_service_journeys_begin_and_end_at_rest(tmp_path):
-    fleet = fleet_of(minutes=6.0, journey="service", n_stops=0, speed_m_per_s=50.0)
-    (path,) = write_train_trips(tmp_path, RichTrain.scattered(1), [WORN], fleet, 0)
-    speed = columns(path, "speed")["speed"]
-    assert speed[0] == speed[-1] == 0
-    assert speed.max() > 45
-    body = columns(path, "body")["left"]
-    assert np.abs(body[:250]).max() < 0.05 * np.abs(body).max()
-
-
-@pytest.mark.slow  # test_rich_train.py steps the same laws
-def test_trains_with_nonlinear_laws_are_stepped_and_written_alike(tmp_path):
-    effects = {"bushings", "rubber", "roll", "blow_off", "friction"}
-    train = RichTrain.scattered(1, effects)
-    never = RichTrain(
-        frozenset(effects), **(train.numbers() | {"blow_off_m_per_s": 1e6, "friction_share": 1e-12})
-    )
-    linear = RichTrain(frozenset(effects - {"blow_off", "friction"}), **train.numbers())
-    body = {
-        name: columns(
-            write_train_trips(tmp_path / name, one, [WORN], fleet_of(minutes=0.1), 0)[0], "body"
-        )["left"]
-        for name, one in (("laws", train), ("never", never), ("linear", linear))
-    }
-    size = body["linear"].std()
-    assert (body["never"] - body["linear"]).std() < 2e-3 * size
-    assert (body["laws"] - body["linear"]).std() > 0.02 * size
-
-
 # failure
-
-
-def test_sides_must_be_known(tmp_path):
-    with pytest.raises(ValueError, match="`sides` must be one of"):
-        write_train_trips(tmp_path, RichTrain(), [WORN], fleet_of(), 0, sides="both")
-    assert not list(tmp_path.iterdir())
