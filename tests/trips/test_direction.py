@@ -34,9 +34,9 @@ FREQUENCIES = torch.arange(0.05, 20, 0.05, dtype=torch.float64)
 
 @pytest.fixture(scope="module")
 def both_ways(tmp_path_factory):
-    """Return the manifests of two worn trips, the second run in reverse."""
+    """Return the manifests of three worn trips, the second run in reverse."""
     folder, wear = tmp_path_factory.mktemp("both"), Scenario("worn", spread=0.3)
-    return write_trips(folder / "trips", 2, wear, seed=2, direction="both")
+    return write_trips(folder / "trips", 3, wear, seed=2, direction="both")
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +124,7 @@ def test_phases_show_the_direction_of_worn_vehicles(speed, bogie):
 def test_healthy_trips_have_their_direction_said_or_not(both_ways, tmp_path):
     settings = EstimateSettings(rates_hz=RATES_HZ, minutes=5.0, cache_dir=None).bound(AM96)
     said = read_healthy(both_ways[0].parent, VerticalVehicle(AM96), settings, SETTINGS)
-    expected = ["forward", "reverse"]
+    expected = ["forward", "reverse", "forward"]
     assert [group.direction for group in said.groups] == expected
     for i, path in enumerate(both_ways):
         changed(path, tmp_path, f"trip_{i}", direction=None)
