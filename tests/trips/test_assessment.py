@@ -135,10 +135,6 @@ NOTICE = "last-trip-beyond above-notice-limit too-few-lasting"
             *("act", f"{ACT} above-act-limit too-few-lasting", {"run": 2, "limit": 125}),
         ),
         (
-            read(ends_with(1.5, n=29)),
-            *("act", "last-trip-beyond above-act-limit too-few-lasting", {"limit": 125}),
-        ),
-        (
             read(ends_with(1.5, 1.5)),
             *("act", f"{ACT} above-act-limit change-began", {"run": 2, "km": 280e3}),
         ),
@@ -148,15 +144,6 @@ NOTICE = "last-trip-beyond above-notice-limit too-few-lasting"
             *("act", f"{ACT} below-act-limit first-trips", {"limit": 70, "n": 4, "percent": 100}),
         ),
         (
-            read([1, 1, 1, 0.86, 0.85, 0.84, 0.83], parameter="c_s"),
-            *("none", "within-limits-words of-healthy first-trips last-trip-at", {"percent": 83}),
-        ),
-        (
-            read(np.where(KM < 155_000, 1, 0.6), parameter="c_s"),
-            *("act", f"{ACT} below-act-limit about falls-to", {"percent": 60, "n_ends": 5}),
-        ),
-        (read(0.6 * ONES), "act", f"{ACT} below-act-limit since-first-trips", {"run": 5}),
-        (
             read(ends_with(1.5, 1.5, 1.5, 1)),
             "act",
             "trips-level-beyond above-act-limit last-trip-level about rises-to",
@@ -164,10 +151,6 @@ NOTICE = "last-trip-beyond above-notice-limit too-few-lasting"
         ),
         (read(ends_with(1.5, 1)), "none", "no-change some-beyond", {"n": 1, "n_last": 5}),
         (read(ends_with(1.07)), "none", "no-change last-trip-at", {"percent": 107}),
-        (
-            read(0.88 * ONES, parameter="c_s"),
-            *("none", "within-limits-words of-healthy no-change", {}),
-        ),
         (read(ONES[:4]), "none", "too-few-to-find", {"n_trips": 4, "n_needed": 10}),
         (read(ends_with(3.0), flagged=[29]), "notice", f"flagged-trip {NOTICE}", {"limit": 110}),
         (read(ends_with(1.3), half=np.nan), "notice", f"without-interval {NOTICE}", {}),
@@ -187,16 +170,9 @@ NOTICE = "last-trip-beyond above-notice-limit too-few-lasting"
             {"n": 5, "n_ends": 5},
         ),
         (
-            read(ONES, flagged=range(25, N_TRIPS)),
-            "unknown",
-            "not-judged all-last-flagged",
-            {"n": 5},
-        ),
-        (
             read(np.where(KM < 155_000, 1, 0.9), flagged=range(N_TRIPS), parameter="c_s"),
             *("unknown", "not-judged about falls-to", {"percent": 90, "km": 160e3}),
         ),
-        (read([1.0], flagged=[0]), "unknown", "not-judged", {}),
         (
             read(ONES, flagged=[0, 29]),
             *("none", "no-change flagged-both", {"n_first": 1, "n_last": 1}),

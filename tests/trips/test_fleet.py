@@ -390,35 +390,23 @@ def test_report_is_written_where_too_few_trips_define_healthy(
     assert words.startswith("the median of the first 3 trips") == (n_known == 3)
 
 
-def test_dead_sensors_and_alarms_of_sensors_are_printed(
-    three, model, no_figures, monkeypatch, caplog
-):
+def test_dead_sensors_and_alarms_of_sensors_are_printed(alone):
     constant = Finding("is-constant", value=0.0)
-    dead = [
-        Fault("bogie left", "gap", 9, 1.0, 0.0, True),
-        *dead_faults({"bogie right": NOTHING, "body axle2 right": constant}, 300.0, 100.0),
-        Fault("body", "drift", 9, 1.0, 0.0, True, 0.3),
-    ]
-
-    def half_dead(*given):
-        result = recalled_trip(*given)
-        if result.trip == "a":
-            return result
-        return replace(result, quality=replace(result.quality, faults=together(map(str, dead))))
-
-    monkeypatch.setattr(fleet, "evaluate_trip", half_dead)
-    with caplog.at_level("INFO", fleet.log.name):
-        read(three, [model], three.parent / "dead")
-    printed = [one for one in caplog.messages[-1].splitlines() if "(in b, c)" in one]
-    names = ("bogie right", "body axle2 right")
-    for line, name in zip(printed, names, strict=True):
-        assert line.startswith(f"  notice   sensor {name}: dead and left out") or NOTHING in line
+    dead = dead_faults({"bogie right": NOTHING, "body axle2 right": constant}, 300.0, 100.0)
+    repaired = Fault("bogie left", "gap", 9, 1.0, 0.0, True)
+    faults = together(map(str, [repaired, *dead]))
+    half_dead = [replace(r, quality=replace(r.quality, faults=faults)) for r in alone[1:3]]
     alarms = [
         Alarm("body left", Cause.SENSOR, Severity.NOTICE, 7e4, end, "sensor body left: noise")
         for end in (np.nan, 9e4)
     ]
-    (line,) = sensor_lines([], alarms)
-    assert line == "  notice   sensor body left: noise (alarm since 70 000 km)"
+    alarm, first, second = sensor_lines([alone[0], *half_dead], alarms)
+    assert alarm == "  notice   sensor body left: noise (alarm since 70 000 km)"
+    assert first.startswith("  notice   sensor bogie right: dead")
+    assert second.startswith("  notice   sensor body axle2 right: dead and left out")
+    names = f"(in {alone[1].trip}, {alone[2].trip})"
+    assert first.endswith(f"it {NOTHING} {names}")
+    assert second.endswith(f"it {constant} {names}")
 
 
 def test_change_below_what_the_model_resolves_does_not_count(model):

@@ -362,20 +362,20 @@ def test_alarms_and_remaining_life_are_shown(tmp_path):
 
 
 def test_how_files_were_read_is_a_detail_and_no_fault(tmp_path):
-    def read(name, delimiter):
+    def read(result, *files):
         known = {"header": "no names", "first_line": 1, "encoding": "utf-8", "bom": ""}
-        return of(name, Finding("csv-dialect", delimiter=delimiter, decimal="','", **known))
+        words = together(
+            of(name, Finding("csv-dialect", delimiter=sign, decimal="','", **known))
+            for name, sign in files
+        )
+        return replace(result, quality=replace(result.quality, read_as=words, faults=""))
 
-    words = read("axle_box.csv", "tab")
-    results = [replace(r, quality=replace(r.quality, read_as=words, faults="")) for r in measured()]
-    results[3] = replace(results[3], quality=replace(results[3].quality, read_as="other"))
-    several = together((words, read("b.csv", "';'"), read("c.csv", "';'")))
-    results[4] = replace(results[4], quality=replace(results[4].quality, read_as=several))
+    results = [read(r, ("axle_box.csv", "tab")) for r in measured()]
+    results[4] = read(results[4], ("axle_box.csv", "tab"), ("b.csv", "';'"), ("c.csv", "';'"))
     details = files_read_as(results)
-    words = words.values["words"]
+    words = results[0].quality.read_as.values["words"]
     other = words.replace("tab", "';'")
-    assert details == {"files read as": f"{words} (11 files) · other (1 trip) · {other} (2 files)"}
-    assert files_read_as(results[3:4]) == {"files read as": "other"}
+    assert details == {"files read as": f"{words} (12 files) · {other} (2 files)"}
     assert files_read_as(measured()) == {}
     text, page = write(tmp_path / "r.html", results, details=details)
     assert page.text.count(words) == 1

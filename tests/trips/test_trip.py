@@ -32,6 +32,8 @@ from suspnet.recordings.manifest import CHANNELS
 from suspnet.simulation.fleet import Scenario
 from suspnet.spectra.welch import Welch
 from suspnet.trips import trip
+from suspnet.trips.check import CheckSettings, check_trip
+from suspnet.trips.check_page import READY, TOO_LITTLE
 from suspnet.trips.trip import evaluate_trip
 
 SETTINGS = TripSettings()
@@ -323,18 +325,6 @@ def test_unrelated_noise_counts_as_a_loose_sensor(manifests, model, good, tmp_pa
     assert close(result, good)
 
 
-def test_channels_are_checked_where_the_train_runs(manifests, model, tmp_path):
-    """In the second half the train stops every other second, and the bogie's sensor is turned."""
-    seconds = np.arange(301)
-    speed = np.where((seconds > 150) & (seconds % 2 == 0), 5.0, 70.0)
-    bogie = signal(manifests[0], "bogie").copy()
-    bogie[150 * 250 :] *= -4
-    path = changed(manifests[0], tmp_path, signals={"bogie": bogie, "speed": speed})
-    result = evaluated(path, model)
-    assert (result.status, result.quality.warnings) == (OK, "")
-    assert result.quality.segments_used == 14
-
-
 def test_number_of_low_coherence_is_told(no_loose_sensor, manifests, model, tmp_path):
     path = noisy(manifests[0], tmp_path, "body", 10.0, seconds=(100, 160))
     settings = TripSettings(min_averages=26, check_channels=False)
@@ -485,3 +475,42 @@ def test_segment_of_two_overlapping_bins_counts_once(manifests, model, good):
     assert result.quality.segments_used == N_SEGMENTS
     assert result.quality.n_averages == good.quality.n_averages
     assert result.estimates == pytest.approx(good.estimates)
+
+
+# a sensor that comes loose
+
+
+def loose(manifest, folder, channel, from_s):
+    """Return a copy of a trip in which a sensor shows the last digit of its logger from a time."""
+    values = signal(manifest, channel).astype(float)
+    later = values[round(from_s * RATE[channel]) :]
+    later[:] = 0.01 * values.std() * ((later * 1e6).round() % 3 - 1)
+    return changed(manifest, folder, channel, {channel: values})
+
+
+@pytest.mark.parametrize("channel", [pytest.param("axle_box", marks=pytest.mark.slow), "bogie"])
+def test_good_part_is_estimated(manifests, model, tmp_path, channel):
+    whole = recalled_trip(manifests[1], [model], SETTINGS)
+    path = loose(manifests[1], tmp_path, channel, 200)
+    part = evaluate_trip(path, [model], SETTINGS)
+    assert part.status == whole.status == OK
+    assert f"{channel}: loose from about " in part.quality.faults
+    assert "jump" not in part.quality.faults
+    assert part.flags == whole.flags == ""
+    assert part.quality.n_averages == pytest.approx(whole.quality.n_averages * 190 / 300, rel=0.15)
+    for name in OUTPUTS:
+        low, high = part.interval(name)
+        assert low < whole.estimates[name] < high
+    checked = check_trip(path, CheckSettings({model.vehicle.name: model.vehicle}))
+    assert checked.state == READY
+    assert any(remark.startswith(f"{channel}: loose from about ") for remark in checked.remarks)
+
+
+def test_too_little_before_is_one_reason(manifests, model, tmp_path):
+    path = loose(manifests[1], tmp_path, "body", 100)
+    part = evaluate_trip(path, [model], SETTINGS)
+    assert part.status == NO_ESTIMATE
+    assert "too little is free of faults: body: loose from about " in part.reason
+    assert "jump" not in part.reason + part.quality.faults
+    checked = check_trip(path, CheckSettings({model.vehicle.name: model.vehicle}))
+    assert checked.state == TOO_LITTLE
