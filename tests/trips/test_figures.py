@@ -196,8 +196,7 @@ def test_gaps_in_every_curve_can_be_drawn():
 
 
 def test_a_trip_that_failed_before_it_was_read_can_be_drawn():
-    for figure in whole([replace(failed(), mileage_km=np.nan)]):
-        draw(figure)
+    assert len(whole([replace(failed(), mileage_km=np.nan)])) == 4
 
 
 # intervals and flags

@@ -115,7 +115,7 @@ def test_bad_trips_are_rows_and_the_others_as_if_alone(done, alone):
 
 
 def test_dask_changes_nothing(manifests, model, alone, no_figures, tmp_path):
-    distributed = pytest.importorskip("distributed")
+    distributed = pytest.importorskip("distributed", reason="needs the extra cluster")
     options = {"n_workers": 1, "threads_per_worker": 1, "processes": False}
     with distributed.LocalCluster(**options, dashboard_address=":0") as cluster:
         settings = FleetSettings(TRIPS, cluster=cluster.scheduler_address)
