@@ -161,8 +161,9 @@ def outcome_of(
     pairs = [(model, segments[_welch(model)]) for model in models]
     try:
         shown = both_ways(pairs, recording, settings)
-    except TripError as error:  # a refused trip has its quality, which may show why
-        refused = {"status": ERROR, "reason": str(error)}
+    except (TripError, NoEstimateError) as error:  # with the quality, which may show why
+        status = ERROR if isinstance(error, TripError) else NO_ESTIMATE
+        refused = {"status": status, "reason": str(error)}
         return refused | {"start": start, "quality": Quality(**quality)}
     outcome, misfit = _of_estimate(shown, models[0].bogie, recording)
     bins = [] if isinstance(shown.bins, NoEstimateError) else shown.bins
