@@ -63,7 +63,7 @@ class Mosquitto:
     def __init__(self, folder, *lines, port=None):
         program = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
         if program is None:
-            pytest.skip("mosquitto is not installed")
+            pytest.skip("needs the program mosquitto")
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             self.port = port or free.getsockname()[1]

@@ -5,18 +5,18 @@ import threading
 from contextlib import contextmanager
 
 import numpy as np
+from depot_trips import SPREAD, read_trip
 from trip_records import curves
 from waitress import wasyncore
 
 from suspnet.ground.parameters import COMPONENTS
-from suspnet.ground.records import Place, Quality, TripResult
+from suspnet.ground.records import Place
 from suspnet.history import History
 from suspnet.report.board import Board, BoardSettings, Refresher
 from suspnet.web.app import create_app, http_server
 
 N_TRIPS = 30
 EVIL = "<script>window.evil = 1</script>"
-SPREAD = {"k_p": 0.0005, "c_p": 0.003, "k_s": 0.0006, "c_s": 0.001, "M_s": 0.05}
 SPREAD_OF_PARTS = {name: 0.005 if name[0] == "c" else 0.001 for name in COMPONENTS}
 FAILED = Place("", "leading", "left", "12", "3")
 WORN = Place("", "trailing", "left", "12", "3")
@@ -36,24 +36,10 @@ def trips(place, seed=0, wear=None, n_trips=N_TRIPS, begin=0, spread=SPREAD, wor
         values = {name: float(np.exp(s * rng.normal())) for name, s in spread.items()}
         for name, ratio in (wear or {}).items():
             values[name] *= ratio(i)
-        day = np.datetime64("2025-11-01T06:00:00") + np.timedelta64(3 * i, "D")
-        found.append(
-            TripResult(
-                f"trip_{i:03d}",
-                "",
-                "am96",
-                place,
-                2000.0 * (i + 1),
-                start=f"{day}+00:00",
-                estimates=values,
-                raw=values,
-                half_widths={name: 2 * s for name, s in spread.items()},
-                flags="beyond what was trained for" if i == 7 else "",
-                worn=worn(i) if worn else "",
-                quality=Quality(speed_m_per_s=70.0),
-                curves=curves(seed=i) if i in (0, n_trips - 1) else None,
-            )
-        )
+        more = {"flags": "beyond what was trained for" if i == 7 else ""}
+        more |= {"worn": worn(i) if worn else ""}
+        more |= {"curves": curves(seed=i) if i in (0, n_trips - 1) else None}
+        found.append(read_trip(place, i, values, spread, **more))
     return found
 
 

@@ -22,8 +22,5 @@ def test_every_pair_is_held_by_few_rows(sizes, together):
 def test_rows_that_are_no_product_keep_each_pair_too():
     rows = [("a", 1, "x"), ("a", 2, "y"), ("b", 1, "x")]
     assert sorted(covering(rows, 2)) == [0, 1, 2]
-
-
-def test_representatives_are_the_first_case_and_others_at_equal_steps():
     assert equal_steps(73, 3) == {0, 24, 48}
     assert equal_steps(2, 3) == {0, 1}

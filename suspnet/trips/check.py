@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -85,15 +86,14 @@ def check_trip(
     try:
         file = ManifestFile(path)
         manifest, _ = all_of([lambda: file.trip, lambda: _check_columns(file, opened)])
-        result = _described(result, manifest)
+        result = _described(path, manifest)
         recording = load_recording(manifest, settings.trips.rate_hz)
         return _inspected(result, recording, settings, picture)
     except TripError as error:
-        problems = error.problems
+        return _with_problems(result, error.problems)
     except Exception as error:  # one faulty trip must not hide the faults of others
         log.debug("trip %s failed", path, exc_info=True)
-        problems = (f"{type(error).__name__}: {' '.join(str(error).split())}",)
-    return _with_problems(result, problems)
+        return _with_problems(result, [f"{type(error).__name__}: {' '.join(str(error).split())}"])
 
 
 def _check_columns(file: ManifestFile, opened: Opened) -> None:
@@ -103,27 +103,21 @@ def _check_columns(file: ManifestFile, opened: Opened) -> None:
     """
     problems: dict[str, None] = {}
     for source in file.sources.values():
-        data, time = file.path.parent / source["file"], source.get("time")
-        column = source.get("column")
-        named = all(one is None or isinstance(one, str) for one in (time, column))
+        data = file.path.parent / source["file"]
+        time, column = source.get("time"), source.get("column")
+        named = all(name is None or isinstance(name, str) for name in (time, column))
         if not named or source.get("csv") is not None or not os.path.isfile(data):
             continue  # how a CSV file is written is known only when the manifest is parsed
         key = (data, time, column)
         if key not in opened:
-            opened[key] = _opening(data, [column] if time is None else [time, column])
+            try:
+                next(iter(open_columns(data, [column] if time is None else [time, column])), None)
+                opened[key] = ()
+            except TripError as error:
+                opened[key] = error.problems
         problems |= dict.fromkeys(opened[key])
     if problems:
         raise TripError(*problems)
-
-
-def _opening(file: Path, columns: Sequence[str | None]) -> tuple[str, ...]:
-    """Return why some columns of a file cannot be opened; empty if they can."""
-    try:
-        for _ in open_columns(file, columns):
-            return ()
-    except TripError as error:
-        return error.problems
-    return ()
 
 
 def _printable(words: str) -> str:
@@ -131,25 +125,26 @@ def _printable(words: str) -> str:
 
 
 def _with_problems(result: TripCheck, problems: Iterable[str]) -> TripCheck:
-    shown = tuple(
-        without(result.manifest, with_values(problem, _printable)) for problem in problems
-    )
-    return replace(result, state=PROBLEM, problems=result.problems + shown)
+    shown = tuple(without(result.manifest, with_values(one, _printable)) for one in problems)
+    return replace(result, state=PROBLEM, problems=shown)
 
 
-def _described(result: TripCheck, manifest: TripManifest) -> TripCheck:
+def _with_remarks(result: TripCheck, *remarks: str, **changes: Any) -> TripCheck:
+    return replace(result, remarks=(*result.remarks, *filter(None, remarks)), **changes)
+
+
+def _described(path: Path, manifest: TripManifest) -> TripCheck:
     pairs = [name for name in CHANNELS if manifest.is_pair(name)]
-    sensors = "single sensors" if not pairs else Finding("pairs", pairs=together(pairs, ", "))
-    if len(pairs) == len(CHANNELS):
-        sensors = "pairs"
-    if more := [name for name in manifest.sensors() if not channel_of(name)]:
-        sensors = together((sensors, together(more, ", ")))
-    return replace(
-        result,
+    single = Finding("pairs", pairs=together(pairs, ", ")) if pairs else "single sensors"
+    others = [name for name in manifest.sensors() if not channel_of(name)]
+    return TripCheck(
+        path,
         vehicle=manifest.vehicle,
         place=manifest.place,
         mileage_km=manifest.mileage_km,
-        sensors=sensors,
+        sensors=together(
+            ("pairs" if len(pairs) == len(CHANNELS) else single, together(others, ", "))
+        ),
         sources=tuple(
             f"{manifest.file_of(one).resolve()}: {one.column or ''}"
             for one in manifest.sensors().values()
@@ -161,134 +156,128 @@ def _inspected(
     result: TripCheck, recording: Recording, settings: CheckSettings, picture: str
 ) -> TripCheck:
     """Return a check with the content of the recording; draw it if asked."""
-    vehicle, estimate, remarks = _vehicle(recording.manifest, settings.vehicles)
+    vehicle, estimate, remark = _vehicle(recording.manifest, settings.vehicles)
     assert estimate.low_hz is not None
     assert estimate.high_hz is not None
     unknown = 100 * float(np.isnan(recording.speed_m_per_s).mean())
-    if unknown:
-        remarks.append(Finding("speed-partly-unknown", unknown=unknown))
-    if recording.manifest.unplaced:
-        remarks.append(Finding("single-in-middle"))
-    result = replace(
+    result = _with_remarks(
         result,
-        remarks=(*filter(None, [recording.words]), *map(str, recording.faults), *remarks),
+        recording.words,
+        *map(str, recording.faults),
+        remark,
+        Finding("speed-partly-unknown", unknown=unknown) if unknown else "",
+        Finding("single-in-middle") if recording.manifest.unplaced else "",
         duration_s=recording.duration_s,
         usable_percent=100 * float(recording.usable.mean()),
         band_hz=(estimate.low_hz, estimate.high_hz),
         unchecked=vehicle is None and not settings.models,
     )
+    # without a channel there is no mean of both sides, but perhaps each part
     if recording.absent:
-        result = replace(result, state=TOO_LITTLE, remarks=(*result.remarks, no_channel(recording)))
+        result = _with_remarks(result, no_channel(recording), state=TOO_LITTLE)
         if settings.models:
             return _read(result, recording, settings)
         return result if vehicle is None else _of_parts(result, recording, vehicle, settings.trips)
     segments = recording_segments(recording, estimate.welch)
-    any_speed = vehicle is not None and best_generator(vehicle).speed_m_per_s is None
-    trips = settings.trips
-    result, checked = _with_parts(result, recording, segments, estimate, trips, any_speed)
-    looked_at = checked[0]  # the longest steady part, or all segments
+    at_any_speed = vehicle is not None and best_generator(vehicle).speed_m_per_s is None
+    result, checked = _at_steady_speeds(
+        result, recording, segments, estimate, settings.trips, at_any_speed
+    )
     if settings.models:
         result = _read(result, recording, settings)
+    looked_at = checked[0]
     spectra = segments.average(looked_at) if bool(looked_at.any()) else None
     if settings.pictures is not None and picture:
         figure = trip_figure(recording, segments.frequencies_hz, spectra, result.band_hz)
-        write_picture(
-            settings.pictures / picture, figure, f"{result.manifest.stem}: {result.words}"
-        )
+        title = f"{result.manifest.stem}: {result.words}"
+        write_picture(settings.pictures / picture, figure, title)
         result = replace(result, picture=picture)
     # channels can be tested for a swap only against a known vehicle
     if vehicle is None or spectra is None or result.state == PROBLEM:
         return result
     try:
         doubts, shows_parts, frame_sensor = check_sensors(
-            recording, segments, checked, vehicle, estimate, trips
+            recording, segments, checked, vehicle, estimate, settings.trips
         )
     except TripError as error:
         return _with_problems(result, error.problems)
-    every = result.remarks + doubts
-    return replace(result, remarks=every, shows_parts=shows_parts, frame_sensor=frame_sensor)
+    return _with_remarks(result, *doubts, shows_parts=shows_parts, frame_sensor=frame_sensor)
+
+
+def _vehicle(
+    manifest: TripManifest, vehicles: Mapping[str, Vehicle]
+) -> tuple[Vehicle | None, EstimateSettings, str]:
+    """Return a trip's vehicle if its numbers are known, its settings, and a remark if not."""
+    plain = EstimateSettings()
+    vehicle = vehicles.get(manifest.vehicle)
+    if vehicle is None:
+        remark = Finding(
+            "vehicle-unknown",
+            need_a_vehicle=NEED_A_VEHICLE,
+            vehicle=repr(manifest.vehicle),
+            vehicles=sorted(vehicles),
+        )
+    else:
+        try:
+            return vehicle, plain.bound(vehicle), ""
+        except ValueError as error:
+            remark = Finding("vehicle-reason", name=repr(manifest.vehicle), words=str(error))
+    low_hz, high_hz = UNKNOWN_BAND_HZ
+    return None, replace(plain, low_hz=low_hz, high_hz=high_hz), remark
 
 
 def _read(result: TripCheck, recording: Recording, settings: CheckSettings) -> TripCheck:
+    """Return a check that is ready if the models estimate the recording."""
     manifest = recording.manifest
     try:
         models = models_of(settings.models, manifest.place)
         words = readable_words(models_at(models, manifest.mileage_km))
     except ValueError as error:
         return _with_problems(result, [str(error)])
-    found = evaluate_recording(manifest, lambda: recording, models, settings.trips)
-    result = replace(result, read_by=words)
-    if found.status == ERROR:
-        return _with_problems(result, [found.reason])
-    state = READY if found.status == OK else TOO_LITTLE
-    remarks = result.remarks + tuple(filter(None, [found.reason]))
-    return replace(result, state=state, remarks=remarks)
+    outcome = evaluate_recording(manifest, lambda: recording, models, settings.trips)
+    if outcome.status == ERROR:
+        return _with_problems(replace(result, read_by=words), [outcome.reason])
+    state = READY if outcome.status == OK else TOO_LITTLE
+    return _with_remarks(result, outcome.reason, read_by=words, state=state)
 
 
-def _with_parts(
+def _at_steady_speeds(
     result: TripCheck,
     recording: Recording,
     segments: SegmentSpectra,
     estimate: EstimateSettings,
     settings: TripSettings,
-    any_speed: bool,
+    at_any_speed: bool,
 ) -> tuple[TripCheck, list[Tensor]]:
-    """Return a check with the steady parts of a recording, and their segments, the longest first.
+    """Return a check with a recording's steady speeds, and their segments, the longest first.
 
-    Without steady parts these are all segments, or the longest group.
+    Without steady speeds these are all segments, or the longest group.
     """
     n_segments = len(segments.values)
-    looked_at = torch.ones(n_segments, dtype=torch.bool)
+    every = torch.ones(n_segments, dtype=torch.bool)
     if not n_segments:
         nothing = Finding("no-faultless-stretch", segment_s=estimate.segment_s)
-        remarks = (*result.remarks, nothing)
-        return replace(result, state=TOO_LITTLE, remarks=remarks), [looked_at]
+        return _with_remarks(result, nothing, state=TOO_LITTLE), [every]
     speeds = segment_speeds(recording, segments)
     tolerance, least = settings.speed_tolerance, settings.min_speed_m_per_s
-    groups = groups_to_read(speeds, tolerance, least, at_any_speed=any_speed)
-    found = [
-        (one, _part(one))
+    groups = groups_to_read(speeds, tolerance, least, at_any_speed=at_any_speed)
+    seen = [
+        one
         for one in steady(segments, speeds, groups, estimate, settings)
         if one.spectra is not None
     ]
-    kept = [(one, part) for one, part in found if one.has_enough]
-    certain = [(one, part) for one, part in kept if one.is_certain]
-    uncertain = [part for one, part in kept if not one.is_certain]
-    words = together([_too_uncertain(part, settings) for part in uncertain])
-    if not kept:
-        words = _too_little([one for one, _ in found], segments.welch, settings)
-    result = replace(
+    enough = [one for one in seen if one.has_enough]
+    certain = [one for one in enough if one.is_certain]
+    # the reason why there is too little, or which of the speeds are not certain enough
+    remark = together(_too_uncertain(one, settings) for one in enough if not one.is_certain)
+    result = _with_remarks(
         result,
+        remark if enough else _too_little(seen, segments.welch, settings),
         state=READY if certain else TOO_LITTLE,
-        parts=tuple(part for _, part in certain),
-        steady_percent=100 * sum(int(one.chosen.sum()) for one, _ in certain) / n_segments,
-        remarks=(*result.remarks, *([words] if words else [])),
+        parts=tuple(map(_part, certain)),
+        steady_percent=100 * sum(int(one.chosen.sum()) for one in certain) / n_segments,
     )
-    return result, [one.chosen for one, _ in certain or found[:1]] or [looked_at]
-
-
-def _vehicle(
-    manifest: TripManifest, vehicles: Mapping[str, Vehicle]
-) -> tuple[Vehicle | None, EstimateSettings, list[str]]:
-    plain = EstimateSettings()
-    unknown = replace(plain, low_hz=UNKNOWN_BAND_HZ[0], high_hz=UNKNOWN_BAND_HZ[1])
-    vehicle = vehicles.get(manifest.vehicle)
-    if vehicle is None:
-        words = Finding(
-            "vehicle-unknown",
-            need_a_vehicle=NEED_A_VEHICLE,
-            vehicle=repr(manifest.vehicle),
-            vehicles=sorted(vehicles),
-        )
-        return None, unknown, [words]
-    try:
-        return vehicle, plain.bound(vehicle), []
-    except ValueError as error:
-        return (
-            None,
-            unknown,
-            [Finding("vehicle-reason", name=repr(manifest.vehicle), words=str(error))],
-        )
+    return result, [one.chosen for one in certain or seen[:1]] or [every]
 
 
 def _part(one: Steady) -> SteadyPart:
@@ -302,23 +291,23 @@ def _part(one: Steady) -> SteadyPart:
     )
 
 
-def _too_little(found: Sequence[Steady], welch: Welch, settings: TripSettings) -> str:
-    most = max(found, key=lambda one: one.n_averages, default=None)
-    there = minutes_words(welch, int(most.chosen.sum()) if most else 0, settings.min_averages)
+def _too_little(groups: Sequence[Steady], welch: Welch, settings: TripSettings) -> str:
+    most = max(groups, key=lambda one: one.n_averages, default=None)
+    n_segments = int(most.chosen.sum()) if most else 0
     return Finding(
         "too-little-at" if most else "too-little-steady",
         m_per_s=most.speed[0] if most else None,
-        minutes=there,
+        minutes=minutes_words(welch, n_segments, settings.min_averages),
         tolerance=100 * settings.speed_tolerance,
         least=settings.min_speed_m_per_s,
     )
 
 
-def _too_uncertain(part: SteadyPart, settings: TripSettings) -> str:
+def _too_uncertain(one: Steady, settings: TripSettings) -> str:
     return Finding(
         "responses-uncertain-at",
-        speed_m_per_s=part.speed_m_per_s,
-        deviation_percent=part.deviation_percent,
+        speed_m_per_s=one.speed[0],
+        deviation_percent=100 * one.deviation,
         max_deviation=100 * settings.max_deviation,
     )
 
@@ -329,13 +318,13 @@ def _of_parts(
     """Return the check of a recording whose sensors can show nothing but each part."""
     way = recording.manifest.direction
     if way is None and show_parts(sensor_places(recording.manifest, "axle")):
-        return replace(result, remarks=(*result.remarks, NO_DIRECTION))
+        return _with_remarks(result, NO_DIRECTION)
     try:
         trip = check_bogie(recording, vehicle, settings, [way] if way else [])
     except TripError as error:
         return _with_problems(result, error.problems)
     except NoEstimateError as reason:
-        return replace(result, remarks=(*result.remarks, str(reason)))
+        return _with_remarks(result, str(reason))
     if trip is None:
         return result
     unknown = [float("nan")] * 3

@@ -143,15 +143,13 @@ def with_distinct_names(checks: Sequence[TripCheck]) -> list[TripCheck]:
     folders: dict[str, list[Path]] = {}
     for check in checks:
         folders.setdefault(check.name, []).append(check.manifest.absolute().parent)
-    common = {name: Path(os.path.commonpath(own)) for name, own in folders.items() if len(own) > 1}
-    return [
-        replace(check, label=_below(check, common[check.name])) if check.name in common else check
-        for check in checks
-    ]
-
-
-def _below(check: TripCheck, folder: Path) -> str:
-    return printable((check.manifest.absolute().parent.relative_to(folder) / check.name).as_posix())
+    named = []
+    for check in checks:
+        if len(own := folders[check.name]) > 1:
+            below = check.manifest.absolute().parent.relative_to(os.path.commonpath(own))
+            check = replace(check, label=printable((below / check.name).as_posix()))
+        named.append(check)
+    return named
 
 
 def with_shared_data(checks: Sequence[TripCheck]) -> list[TripCheck]:
@@ -159,14 +157,15 @@ def with_shared_data(checks: Sequence[TripCheck]) -> list[TripCheck]:
 
     This is the usual mistake when a manifest is copied.
     """
-    owners: dict[str, TripCheck] = {}
-    found = []
+    owners: dict[str, str] = {}
+    remarked = []
     for check in checks:
-        others = {owners[source].name: None for source in check.sources if source in owners}
-        owners = {source: check for source in check.sources} | owners
-        remark = Finding("same-data", others=together(list(others)[:LISTED], ", "))
-        found.append(replace(check, remarks=(*check.remarks, remark)) if others else check)
-    return found
+        if others := dict.fromkeys(owners[one] for one in check.sources if one in owners):
+            remark = Finding("same-data", others=together(list(others)[:LISTED], ", "))
+            check = replace(check, remarks=(*check.remarks, remark))
+        remarked.append(check)
+        owners = dict.fromkeys(check.sources, check.name) | owners
+    return remarked
 
 
 @dataclass(frozen=True)
@@ -232,18 +231,12 @@ def _ends(values: Sequence[float], digits: int) -> str:
 
 def verdict(checks: Sequence[TripCheck], elsewhere: Sequence[str]) -> str:
     """Return how many trips are in which state, on one line."""
-    counts = {state: sum(check.shown == state for check in checks) for state in TONES}
+    counts = Counter(check.shown for check in checks)
     n_ready = counts[READY] + counts[PARTLY]
-    parts = [Finding("ready-for-estimate", n_ready=n_ready, n=len(checks))]
-    if counts[PARTLY]:
-        parts.append(Finding("only-partly", n=counts[PARTLY]))
-    if counts[TOO_LITTLE]:
-        parts.append(Finding("read-but-little", n=counts[TOO_LITTLE]))
-    if counts[PROBLEM]:
-        parts.append(Finding("with-problems", n=counts[PROBLEM]))
-    if elsewhere:
-        parts.append(Finding("lead-to-no-trip", n=len(elsewhere)))
-    return together(parts, ", ")
+    kinds = {"only-partly": counts[PARTLY], "read-but-little": counts[TOO_LITTLE]}
+    kinds |= {"with-problems": counts[PROBLEM], "lead-to-no-trip": len(elsewhere)}
+    others = [Finding(kind, n=n) for kind, n in kinds.items() if n]
+    return together((Finding("ready-for-estimate", n_ready=n_ready, n=len(checks)), *others), ", ")
 
 
 def summary(checks: Sequence[TripCheck], elsewhere: Sequence[str] = ()) -> str:
@@ -254,44 +247,44 @@ def summary(checks: Sequence[TripCheck], elsewhere: Sequence[str] = ()) -> str:
     read = [check for check in checks if np.isfinite(check.duration_s)]
     lines = [verdict(checks, elsewhere)]
     if read:
-        header = (
-            "trip",
-            "minutes",
-            "usable %",
-            "steady %",
-            "m/s",
-            "averages",
-            "coherence",
-            "sensors",
-            "state",
-        )
+        header = [
+            *("trip", "minutes", "usable %", "steady %", "m/s"),
+            *("averages", "coherence", "sensors", "state"),
+        ]
         rows = [_cells(check) for check in read]
-        lines += [tabulate(rows, header, tablefmt="github", disable_numparse=True)]
+        lines.append(tabulate(rows, header, tablefmt="github", disable_numparse=True))
     if any(check.steady_percent < check.usable_percent for check in read):
-        lines += [USABLE]
+        lines.append(USABLE)
     for one in suspensions(checks):
         lines += ["", f"{one.title}: {'; '.join(one.sentences())}"]
     lines += train_words(checks)
-    for title, found in (
-        ("Problems", _by_words((check.name, check.problems) for check in checks)),
-        ("Remarks", _by_words((check.name, check.remarks) for check in checks)),
+    problems = _by_words((check.name, check.problems) for check in checks)
+    remarks = _by_words((check.name, check.remarks) for check in checks)
+    for title, listed in (
+        ("Problems", [*elsewhere, *(f"{names}: {words}" for words, names in problems)]),
+        ("Remarks", [f"{names}: {words}" for words, names in remarks]),
     ):
-        rest = [f"  {words}" for words in elsewhere] if title == "Problems" else []
-        if found or rest:
-            lines += ["", f"{title}:", *rest, *(f"  {names}: {words}" for words, names in found)]
+        if listed:
+            lines += ["", f"{title}:", *(f"  {line}" for line in listed)]
     return "\n".join(lines)
 
 
 def _cells(check: TripCheck) -> list[str]:
-    parts, each = check.parts, [part.speed_m_per_s for part in check.parts]
-    speeds = _ends(each, 1) if each else ""
+    speeds = [part.speed_m_per_s for part in check.parts]
     coherence = ""
-    if parts and np.isfinite(parts[0].coherence_p):
-        coherence = f"{parts[0].coherence_p:.2f}, {parts[0].coherence_s:.2f}"
-    steady = f"{check.steady_percent:.0f}" if np.isfinite(check.steady_percent) else ""
-    numbers = f"{check.duration_s / 60:.1f}", f"{check.usable_percent:.1f}", steady, speeds
-    averages = f"{check.n_averages:.0f}"
-    return [check.name, *numbers, averages, coherence, check.sensors, check.shown]
+    if check.parts and np.isfinite(check.parts[0].coherence_p):
+        coherence = f"{check.parts[0].coherence_p:.2f}, {check.parts[0].coherence_s:.2f}"
+    return [
+        check.name,
+        f"{check.duration_s / 60:.1f}",
+        f"{check.usable_percent:.1f}",
+        f"{check.steady_percent:.0f}" if np.isfinite(check.steady_percent) else "",
+        _ends(speeds, 1) if speeds else "",
+        f"{check.n_averages:.0f}",
+        coherence,
+        check.sensors,
+        check.shown,
+    ]
 
 
 def _by_words(remarks: Iterable[tuple[str, Sequence[str]]]) -> list[tuple[str, str]]:
@@ -307,23 +300,18 @@ def _by_words(remarks: Iterable[tuple[str, Sequence[str]]]) -> list[tuple[str, s
             for words, n in (files if any(files.values()) else {sentence: 0}).items():
                 n_files[words] += n
                 names.setdefault(words, []).append(name)
-    return [
-        (
-            Finding("read-alike", words=words, n=n_files[words]) if n_files[words] else words,
-            _listing(trips),
-        )
-        for words, trips in names.items()
-    ]
+    listed = []
+    for words, trips in names.items():
+        more = f" and {len(trips) - LISTED} more" if len(trips) > LISTED else ""
+        if n_files[words]:
+            words = Finding("read-alike", words=words, n=n_files[words])
+        listed.append((words, ", ".join(trips[:LISTED]) + more))
+    return listed
 
 
 def _on_files(check: TripCheck) -> list[str]:
     """Return the remarks on how the trip's files were read."""
     return [sentence for sentence in check.remarks if any(files_of(sentence).values())]
-
-
-def _listing(names: Sequence[str]) -> str:
-    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
-    return ", ".join(names[:LISTED]) + more
 
 
 def write_checks(checks: Sequence[TripCheck], elsewhere: Sequence[str], output: Path) -> Path:
@@ -374,12 +362,8 @@ def trip_figure(
     axes: list[Axes] = list(left.subplots(4, 1, sharex=True))
     left.subplots_adjust(left=0.13, right=0.98, top=0.88, bottom=0.08, hspace=0.12)
     draw_signals(axes, overview(recording))
-    left.legend(
-        *axes[0].get_legend_handles_labels(),
-        loc="upper center",
-        bbox_to_anchor=(0.55, 0.945),
-        ncols=3,
-    )
+    handles = axes[0].get_legend_handles_labels()
+    left.legend(*handles, loc="upper center", bbox_to_anchor=(0.55, 0.945), ncols=3)
     left.align_ylabels(axes)
     upper, lower = right.subplots(2, 1, sharex=True)
     right.subplots_adjust(left=0.13, right=0.98, top=0.89, bottom=0.08, hspace=0.16)

@@ -40,33 +40,30 @@ def report_details(
     """
     first = models[0]
     trained = trip_settings(first)
-    reference = together((healthy_words(era[0]) for era in eras(models)), "; then ")
+    healthy = together((healthy_words(era[0]) for era in eras(models)), "; then ")
     if n_reference is not None:
-        first_ones = first_trips(results, n_reference)
-        reference = Finding("first-trips-median", n=len(first_ones))
-        if flagged := sum(bool(r.flags) for r in first_ones):
-            reference = together((reference, Finding("of-them-flagged", n=flagged)), ", ")
-        if missing := missing_reference(results, n_reference):
-            reference = together((reference, missing)) if first_ones else missing
+        reference = first_trips(results, n_reference)
+        n_flagged = sum(bool(r.flags) for r in reference)
+        flagged = Finding("of-them-flagged", n=n_flagged) if n_flagged else ""
+        median = Finding("first-trips-median", n=len(reference)) if reference else ""
+        missing = missing_reference(results, n_reference)
+        healthy = together((together((median, flagged), ", "), missing))
+    misfits = together((misfit_words(era[0]) for era in eras(models)), "; then ")
+    kind = type(first.generator).__name__
     return {
         N_("trips"): printable(str(folder)),
         N_("bogie"): together(dict.fromkeys(m.generator.bogie or "any" for m in models), ", "),
         "suspnet": __version__,
         N_("date"): datetime.now().astimezone().isoformat(" ", "seconds"),
         N_("model"): Finding(
-            "trained",
-            name=first.name,
-            n=first.training.get("n_train", 0),
-            kind=type(first.generator).__name__,
+            "trained", name=first.name, n=first.training.get("n_train", 0), kind=kind
         ),
         N_("speeds"): together(dict.fromkeys(map(speed_words, models)), ", "),
         N_("transfer functions"): Finding(
             "windows", method=trained.method, window=trained.window, segment_s=trained.segment_s
         ),
-        N_("healthy is"): reference,
-        N_("misfit of the healthy trips"): together(
-            (misfit_words(era[0]) for era in eras(models)), "; then "
-        ),
+        N_("healthy is"): healthy,
+        N_("misfit of the healthy trips"): misfits,
         N_("intervals"): _interval_words(first, level),
         N_("limits"): limits_words(limits),
     } | files_read_as(results)
@@ -76,18 +73,18 @@ def missing_reference(results: list[TripResult], n_reference: int | None) -> str
     """Return what the first trips lack to define healthy; empty if nothing."""
     if n_reference is None:
         return ""
-    n_found = len(first_trips(results, n_reference))
-    if n_found == n_reference:
+    n = len(first_trips(results, n_reference))
+    if n == n_reference:
         return ""
-    return Finding("reference-lacks", why=UNKNOWN_HEALTHY, n=n_found, n_needed=n_reference)
+    return Finding("reference-lacks", why=UNKNOWN_HEALTHY, n=n, n_needed=n_reference)
 
 
 def healthy_words(model: TrainedModel) -> str:
     """Return the reference of a model's estimates, as text."""
-    found = model.training.get("commissioned")
-    if not found:
+    notes = model.training.get("commissioned")
+    if not notes:
         return "the vehicle file's drawing"
-    trips, (first, last) = Finding("trips", n=found["n_trips"]), found["mileage_km"]
+    trips, (first, last) = Finding("trips", n=notes["n_trips"]), notes["mileage_km"]
     showed = Finding("showed-at", trips=trips, km=first)
     if kilometres(first) != kilometres(last):
         ends = {"low": thousands(first), "high": kilometres(last)}

@@ -70,21 +70,20 @@ class FinishedTrips:
         manifest = file.trip
         data = {manifest.file_of(source) for source in manifest.sources().values()}
         states = {str(one): one.stat() for one in data}
-        return self._common | {
-            "manifest": [str(manifest.path), file.data.hex()],
-            "files": {name: [state.st_size, state.st_mtime_ns] for name, state in states.items()},
-        }
+        files = {name: [state.st_size, state.st_mtime_ns] for name, state in states.items()}
+        return self._common | {"manifest": [str(manifest.path), file.data.hex()], "files": files}
 
     def read(self, made_from: Any) -> TripResult | None:
         """Return the result of a trip, None if it is not finished."""
-        found = self._cache.read(made_from)
-        if found is None:
+        stored = self._cache.read(made_from)
+        if stored is None:
             return None
-        arrays, row = found
-        if not arrays:
-            return from_row(row)
-        responses = to_responses(arrays.pop("real"), arrays.pop("imaginary"))
-        return replace(from_row(row), curves=TripCurves(responses=responses, **arrays))
+        arrays, row = stored
+        curves = None
+        if arrays:
+            responses = to_responses(arrays.pop("real"), arrays.pop("imaginary"))
+            curves = TripCurves(responses=responses, **arrays)
+        return replace(from_row(row), curves=curves)
 
     def write(self, made_from: Any, result: TripResult) -> None:
         """Store a trip's result, unless it is an error, which may be fixed by the next run."""
@@ -119,13 +118,17 @@ def with_earlier(
 
 def _is_of(result: TripResult, model: TrainedModel) -> bool:
     """Return whether a trip has the same healthy reference as a model."""
-    known = result.healthy_si
-    same = any(
-        np.allclose([known.get(name, np.nan) for name in one.names], one.values, rtol=1e-9, atol=0)
-        for one in model.references
+    if not np.isclose(result.healthy_since_km, since_km(model), rtol=0, atol=0, equal_nan=True):
+        return False
+    return any(
+        np.allclose(
+            [result.healthy_si.get(name, np.nan) for name in healthy.names],
+            healthy.values,
+            rtol=1e-9,
+            atol=0,
+        )
+        for healthy in model.references
     )
-    since = result.healthy_since_km, since_km(model)
-    return same and (since[0] == since[1] or bool(np.isnan(since).all()))
 
 
 def keep_trips(

@@ -42,6 +42,9 @@ _AXLE_NUMBER = re.compile(
     r"(?:axle|achse|achslager|radsatz|radsatzlager|wheelset|box|ws|rs|ecke|corner|\bal)"
     r"[\s_.-]*([1-4])(?!\d)"
 )
+_UNITS = {"ms2": "m/s2", "mps2": "m/s2", "g": "g", "mg": "mg", "mps": "m/s"} | dict.fromkeys(
+    ("kmh", "kph"), "km/h"
+)
 _TIMES = ("t", "datetime", "datum", "uhrzeit", "seconds", "sec", "utc")
 _TIME_BEGINS = ("time", "zeit")
 _OTHER_DIRECTIONS = ("x", "y", "lateral", "longitudinal", "quer", "laengs", "längs", "lat", "long")
@@ -75,9 +78,9 @@ def names_times(name: str) -> bool:
 def guessed_side(*names: str) -> str:
     """Return "left" or "right" by the first name that states a side; empty if none does."""
     for words in map(words_of, names):
-        found = [one for one in SIDES if set(words) & set(WORDS["side"][one])]
-        if len(found) == 1:
-            return found[0]
+        sides = [side for side in SIDES if set(words) & set(WORDS["side"][side])]
+        if len(sides) == 1:
+            return sides[0]
     return ""
 
 
@@ -102,8 +105,8 @@ def guessed_axle(*names: str) -> int:
     >>> guessed_axle("Achslager 2 links"), guessed_axle("axle_box_left"), guessed_axle("WS12")
     (2, 0, 0)
     """
-    found = (_AXLE_NUMBER.search(name.lower()) for name in names)
-    return next((int(one[1]) for one in found if one), 0)
+    matches = (_AXLE_NUMBER.search(name.lower()) for name in names)
+    return next((int(match[1]) for match in matches if match), 0)
 
 
 def is_of_another_direction(column: str) -> bool:
@@ -161,11 +164,11 @@ class Signal:
         """Channel or speed, by names and unit; empty if these do not show it."""
         # DG1 is that of a body in "DG1 Wagenkasten", and the place itself in "DG1_L"
         unnumbered = (re.sub(r"\d+", " ", name) for name in self.names)
-        found = guessed_meaning(*self.names) or guessed_meaning(*unnumbered)
+        guess = guessed_meaning(*self.names) or guessed_meaning(*unnumbered)
         if size_of(SPEED, self.unit) is not None:
             return SPEED
         is_acceleration = size_of(ACCELERATION, self.unit) is not None
-        return "" if found == SPEED and is_acceleration else found
+        return "" if guess == SPEED and is_acceleration else guess
 
     @property
     def side(self) -> str:
@@ -188,8 +191,8 @@ def look_into(file: Path) -> tuple[list[Signal], str]:
 
     TripError is raised if the file cannot be read, or holds no column of numbers.
     """
-    found = contents_of(file)
-    return list(found.signals), found.read_as
+    contents = contents_of(file)
+    return list(contents.signals), contents.read_as
 
 
 def contents_of(file: Path) -> Contents:
@@ -199,6 +202,7 @@ def contents_of(file: Path) -> Contents:
     """
     with open_file(file) as opened:
         columns = opened.columns[:MOST_COLUMNS]
+        # times first: other columns take their rate from them
         named = {
             column.name: _times(file, opened, column.name)
             for column in columns
@@ -206,27 +210,22 @@ def contents_of(file: Path) -> Contents:
         }
         times = {name: values for name, (values, _) in named.items() if len(values) > 1}
         falls = {name: f"{file.name}: {why}" for name, (_, why) in named.items() if why}
-        found = [
-            _signal(file, opened, column, times)
-            for column in columns
-            if not ({column.name} & {*times, *falls} or column.is_time or column.unread)
-        ]
-        refused = "; ".join(f"{one.name!r} {one.unread}" for one in columns if one.unread)
-    signals = [one for one in found if one is not None]
+        others = [c for c in columns if not (c.is_time or c.unread or c.name in {*times, *falls})]
+        inspected = [_signal(file, opened, column, times) for column in others]
+        refused = "; ".join(f"{c.name!r} {c.unread}" for c in columns if c.unread)
+    signals = [signal for signal in inspected if signal is not None]
     if not signals:
-        raise TripError(f"{file} holds no column of numbers{': ' * bool(refused)}{refused}")
+        raise TripError(f"{file} holds no column of numbers{': ' if refused else ''}{refused}")
     # a file DG2 of many columns is that of a bogie with all of its places
-    names_place = not _BOGIE_NUMBER.search(file.stem.lower())
-    names_place &= not {one.meaning for one in signals} & set(CHANNELS)
-    if len(signals) <= len(SIDES) or names_place:
-        signals = [_named_by_its_file(one) for one in signals]
-    if not times:
-        why = next(iter(falls.values()), "")
-        signals = [
-            one if np.isfinite(one.rate_hz) else replace(one, untimed=why) for one in signals
-        ]
+    is_bogie = bool(_BOGIE_NUMBER.search(file.stem.lower()))
+    has_channels = bool({signal.meaning for signal in signals} & set(CHANNELS))
+    if len(signals) <= len(SIDES) or not (is_bogie or has_channels):
+        signals = [_named_by_its_file(signal) for signal in signals]
+    untimed = next(iter(falls.values()), "") if not times else ""
+    if untimed:
+        signals = [s if np.isfinite(s.rate_hz) else replace(s, untimed=untimed) for s in signals]
     words = [opened.words, f"{file.name}: not read: {refused}" if refused else ""]
-    words += dict.fromkeys(one.untimed for one in signals)
+    words += dict.fromkeys(signal.untimed for signal in signals)
     return Contents(file, tuple(signals), "; ".join(filter(None, words)), opened.notes)
 
 
@@ -276,6 +275,7 @@ def _signal(
         return None
     if len(blocks[0]) < 2 and key_of(column.name) not in ABOUT_TRIP:
         return None
+    # the rate is the file's, else that of the column's own or the first shared times
     values = blocks[0][np.isfinite(blocks[0])]
     time, time_unit, rate_hz = "", "", column.rate_hz
     if rate_hz is None:
@@ -321,17 +321,15 @@ def _zero(file: Path, opened: OpenFile, column: Column, time: str, time_unit: st
 def _rate(opened: OpenFile, time: str, times: FloatArray) -> tuple[float, str]:
     """Return the rate of some times [Hz], and their unit if only the column's name states it."""
     column = opened.column(time)
-    said = "" if column.is_time else column.unit or unit_in_name(time)
+    stated = "" if column.is_time else column.unit or unit_in_name(time)
     words = [word for word in words_of(time)[1:] if word in TIME_UNITS]
-    named = words[-1] if words and not said and not column.is_time else ""
-    step = float(np.median(np.diff(times))) * (size_of("time", said or named) or 1.0)
+    named = words[-1] if words and not stated and not column.is_time else ""
+    step = float(np.median(np.diff(times))) * (size_of("time", stated or named) or 1.0)
     return 1 / step, named
 
 
 def _unit_word(name: str) -> str:
     """Return a unit that is a separate word of a column's name; empty if there is none."""
-    units = {"ms2": "m/s2", "mps2": "m/s2", "g": "g", "mg": "mg", "mps": "m/s"}
-    units |= {"kmh": "km/h", "kph": "km/h"}
-    found = [units[word] for word in words_of(name)[1:] if word in units]
     written = re.findall(r"km/h|m/s\^?[2²]|m/s", name)
-    return (written or found or [""])[-1]
+    spelled = [_UNITS[word] for word in words_of(name)[1:] if word in _UNITS]
+    return (written or spelled or [""])[-1]

@@ -144,32 +144,29 @@ def evaluate_fleet(
     if not is_alone:
         for model in models:
             trip_settings(model)
-        if partial := partial_words(folder):
-            log.warning("%s is %s; the same simulation again writes the others", folder, partial)
+        _warn_if_partial(folder)
     done: list[Evaluated] = []
-    plans = []
+    suspensions = []
     for group in groups:
         with _reported(group, done, is_alone):
             if group.error:
                 raise ValueError(group.error)
             where = output if is_alone else output / group.name
-            plans.append(_plan(group, models, where, settings))
+            suspensions.append(_suspension(group, models, where, settings))
     read = []
-    for plan in _evaluated(plans, settings, progress):
-        with _reported(plan.group, done, is_alone):
-            read.append(_read(plan, settings, store))
-    read.sort(key=lambda one: groups.index(one.group))
+    for suspension in _evaluated(suspensions, settings, progress):
+        with _reported(suspension.group, done, is_alone):
+            read.append(_with_history(suspension, settings, store))
+    read.sort(key=lambda one: groups.index(one.suspension.group))
     # all suspensions are read before the first report: its lives use their rates of wear
-    fleet = FleetStates({one.vehicle: one.limits for one in read}, settings.changes, SISTERS, seed)
+    limits = {one.suspension.vehicle: one.suspension.limits for one in read}
+    fleet = FleetStates(limits, settings.changes, SISTERS, seed)
     if store is not None:
-        fleet.add(
-            one.relative_to_first(settings.n_first)
-            for one in store.series()
-            if one.vehicle in fleet.limits
-        )
+        earlier = (series for series in store.series() if series.vehicle in fleet.limits)
+        fleet.add(series.relative_to_first(settings.n_first) for series in earlier)
     fleet.add(one.series for one in read)
     for one in read:
-        with _reported(one.group, done, is_alone):
+        with _reported(one.suspension.group, done, is_alone):
             done.append(_report(one, fleet, settings, store, figures))
     if is_alone:
         return done
@@ -179,6 +176,13 @@ def evaluate_fleet(
     done.sort(key=lambda one: (-one.severity, one.name))
     log.info("%s\n-> %s", write_overview(done, models[0].task.outputs, output), output)
     return done
+
+
+def _warn_if_partial(folder: Path) -> str:
+    """Log if an interrupted simulation wrote the folder, and return what it wrote as text."""
+    if partial := partial_words(folder):
+        log.warning("%s is %s; the same simulation again writes the others", folder, partial)
+    return partial
 
 
 @contextmanager
@@ -195,13 +199,18 @@ def _reported(group: Group, done: list[Evaluated], is_alone: bool) -> Iterator[N
 
 @dataclass(frozen=True, eq=False)
 class _Suspension:
-    """A suspension with its models, its output folder, and the results of its trips."""
+    """A suspension with its models and its output folder.
+
+    `results` are those of trips that are read, `waiting` the others with what they are made from.
+    """
 
     group: Group
     models: Sequence[TrainedModel]
     output: Path
     limits: Mapping[str, Limits]
-    results: list[TripResult]
+    finished: FinishedTrips
+    results: list[TripResult] = field(default_factory=list)
+    waiting: dict[ManifestFile, Any] = field(default_factory=dict)
 
     @property
     def vehicle(self) -> str:
@@ -209,126 +218,130 @@ class _Suspension:
 
 
 @dataclass(frozen=True, eq=False)
-class _Plan(_Suspension):
-    """A suspension of which trips are still to be read, with what they are made from."""
+class _Trips:
+    """All trips of a suspension, those of the store among them, as `results` and as `series`."""
 
-    finished: FinishedTrips
-    waiting: dict[ManifestFile, Any]
-
-
-@dataclass(frozen=True, eq=False)
-class _Read(_Suspension):
-    """A suspension whose trips are read; `results` are also those of the store."""
-
+    suspension: _Suspension
+    results: list[TripResult]
     commissionings: list[Commissioning]
     series: Series
 
 
-def _plan(
+def _suspension(
     group: Group, models: Sequence[TrainedModel], output: Path, settings: FleetSettings
-) -> _Plan:
-    """Return which trips of a suspension are to be read, and the results of the others."""
+) -> _Suspension:
+    """Return a suspension with the results of those of its trips that need not be read again."""
     fitting = models_of(models, group.place)
     limits = settings.limits_of(fitting)
     if settings.reference == "first_trips":
         check_one_reference(fitting)
     finished = FinishedTrips(output, fitting, settings.trips)
-    waiting, results = {}, []
+    suspension = _Suspension(group, fitting, output, limits, finished)
     for file in [one.absolute() for one in group.manifests]:
         try:
-            waiting[file] = finished.made_from(file)
-            result = finished.read(waiting[file])
+            made_from = finished.made_from(file)
+            result = finished.read(made_from)
         except Exception:  # `evaluate_trip` then reports the fault, without a worker
-            result = evaluate_trip(file, fitting, settings.trips)
-        if result is not None:
-            waiting.pop(file, None)
-            results.append(result)
-    return _Plan(group, fitting, output, limits, results, finished, waiting)
+            suspension.results.append(evaluate_trip(file, fitting, settings.trips))
+        else:
+            if result is None:
+                suspension.waiting[file] = made_from
+            else:
+                suspension.results.append(result)
+    return suspension
 
 
-def _read(plan: _Plan, settings: FleetSettings, store: History | None) -> _Read:
-    """Return the trips of a suspension whose trips are all read, after storing them."""
-    group, fitting, vehicle = plan.group, plan.models, plan.vehicle
-    results = [replace(result, place=group.place) for result in plan.results]
+def _with_history(
+    suspension: _Suspension, settings: FleetSettings, store: History | None
+) -> _Trips:
+    """Store the trips of a suspension that are all read, and return them with earlier ones."""
+    place, models, vehicle = suspension.group.place, suspension.models, suspension.vehicle
+    results = [replace(result, place=place) for result in suspension.results]
     events: list[Event] = []
     if store is not None:
-        results = with_earlier(results, group.place, fitting, store)
-        events = store.events(vehicle, group.place)
+        results = with_earlier(results, place, models, store)
+        events = store.events(vehicle, place)
     results = by_mileage(results)
     series = replace(series_of(results, events), vehicle=vehicle)
     results = relative_results(results, events, settings.n_first)
-    found = commissionings(fitting, results)
-    results = with_truth_of_each(results, found)
-    relative = series.relative_to_first(settings.n_first)
-    return _Read(group, fitting, plan.output, plan.limits, results, found, relative)
+    used = commissionings(models, results)
+    results = with_truth_of_each(results, used)
+    return _Trips(suspension, results, used, series.relative_to_first(settings.n_first))
 
 
 def _report(
-    read: _Read, fleet: FleetStates, settings: FleetSettings, store: History | None, figures: bool
+    trips: _Trips, fleet: FleetStates, settings: FleetSettings, store: History | None, figures: bool
 ) -> Evaluated:
-    stage(f"trend and report of {read.group.place}")
-    group, results, models = read.group, read.results, read.models
+    """Write tables, figures and the report of a suspension; return its state for the overview."""
+    suspension, results = trips.suspension, trips.results
+    group, models, output = suspension.group, suspension.models, suspension.output
+    stage(f"trend and report of {group.place}")
     outputs, level = outputs_of(results), settings.trips.level
-    write_tables(results, outputs, read.output)
-    missing = missing_reference(between(read.series.events, results)[-1], settings.n_first)
-    if missing:
+    # tables come first: what follows may fail on odd numbers
+    write_tables(results, outputs, output)
+    since_maintenance = between(trips.series.events, results)[-1]
+    if missing := missing_reference(since_maintenance, settings.n_first):
         log.warning("%s: %s", group.folder, missing)
-    state = replace(fleet.state_of(read.series), least_percent=least_percent(outputs, models))
+    state = replace(fleet.state_of(trips.series), least_percent=least_percent(outputs, models))
     seen: list[Acknowledgement] = []
     if store is not None and any(r.status != ERROR for r in results):
-        own = [one for one in state.watched.alarms if one.cause in OWN_CAUSES]
-        store.keep_alarms(read.vehicle, group.place, own, OWN_CAUSES)
-        seen = store.acknowledgements(read.vehicle, group.place)
-    details = report_details(group.folder, models, results, read.limits, level, settings.n_first)
-    details[N_("remaining lives")] = wear_words(fleet.n_learnt(read.vehicle), store is not None)
-    details[N_("alarms of changes")] = armed = detector_words(
-        state.watched.changes, settings.changes
-    )
-    if partial := partial_words(group.folder):
-        log.warning("%s is %s; the same simulation again writes the others", group.folder, partial)
+        own = [alarm for alarm in state.watched.alarms if alarm.cause in OWN_CAUSES]
+        store.keep_alarms(suspension.vehicle, group.place, own, OWN_CAUSES)
+        seen = store.acknowledgements(suspension.vehicle, group.place)
+    armed = detector_words(state.watched.changes, settings.changes)
+    n_learnt = fleet.n_learnt(suspension.vehicle)
+    details = report_details(
+        group.folder, models, results, suspension.limits, level, settings.n_first
+    ) | {
+        N_("remaining lives"): wear_words(n_learnt, store is not None),
+        N_("alarms of changes"): armed,
+    }
+    if partial := _warn_if_partial(group.folder):
         details["trips"] = f"{details['trips']} ({partial})"
     if store is not None:
         details[N_("history")] = printable(str(store))
-    report = Report(results, outputs, state, details, level, read.commissionings, seen)
-    write_pages(report, read.output, draw=figures)
+    report = Report(results, outputs, state, details, level, trips.commissionings, seen)
+    write_pages(report, output, draw=figures)
     lines = [spoken(state.assessments), *sensor_lines(results, state.watched.alarms)]
     words = "\n".join([*lines, f"Alarms of changes: {armed}."])
-    log.info("%s\n%s: %s\n-> %s", summary(results, outputs), group.place, words, read.output)
+    log.info("%s\n%s: %s\n-> %s", summary(results, outputs), group.place, words, output)
     return Evaluated(group.name, group.place, results, state)
 
 
-def _evaluated(plans: Sequence[_Plan], settings: FleetSettings, progress: bool) -> Iterator[_Plan]:
+def _evaluated(
+    suspensions: Sequence[_Suspension], settings: FleetSettings, progress: bool
+) -> Iterator[_Suspension]:
     """Read the trips of all suspensions, and yield each suspension once its trips are read.
 
     One pool of workers reads all: started for each suspension, it would start over and over, and
     wait for the last trip of each.
     """
-    of_file = {file: plan for plan in plans for file in plan.waiting}
-    n_finished = sum(len(plan.results) for plan in plans)
-    where = f"{plans[0].group.place}" if len(plans) == 1 else f"{len(plans)} suspensions"
-    n_trips = n_finished + len(of_file)
+    owners = {file: one for one in suspensions for file in one.waiting}
+    n_finished = sum(len(one.results) for one in suspensions)
+    n_places = len(suspensions)
+    where = f"{suspensions[0].group.place}" if n_places == 1 else f"{n_places} suspensions"
+    n_trips = n_finished + len(owners)
     bar = progress_bar(f"trips of {where}", n_trips, unit="trip", shown=progress)
     with bar, warnings.catch_warnings():
         # a worker whose memory has grown is replaced; no trip is lost
         warnings.filterwarnings("ignore", "A worker stopped while", UserWarning)
         bar.update(n_finished)
-        if n_finished and of_file:
+        if n_finished and owners:
             words = "%d trips are finished already, %d are to be read"
-            log.info(words, n_finished, len(of_file))
-        n_left = {id(plan): len(plan.waiting) for plan in plans}
-        yield from (plan for plan in plans if not plan.waiting)
-        items = [(file, plan.models) for file, plan in of_file.items()]
-        for (file, _), one in _read_by_workers(items, settings):
-            plan = of_file[file]
-            if isinstance(one, LostWorkerError):
-                plan.results.append(lost_trip(file.path, str(one)))
+            log.info(words, n_finished, len(owners))
+        yield from (one for one in suspensions if not one.waiting)
+        items = [(file, one.models) for file, one in owners.items()]
+        for (file, _), result in _read_by_workers(items, settings):
+            suspension = owners[file]
+            made_from = suspension.waiting.pop(file)
+            if isinstance(result, LostWorkerError):
+                suspension.results.append(lost_trip(file.path, str(result)))
             else:
-                plan.results.append(one)
-                plan.finished.write(plan.waiting[file], one)
+                suspension.results.append(result)
+                suspension.finished.write(made_from, result)
             bar.update()
-            n_left[id(plan)] -= 1
-            if not n_left[id(plan)]:
-                yield plan
+            if not suspension.waiting:
+                yield suspension
 
 
 _Item = tuple[ManifestFile, Sequence[TrainedModel]]
@@ -357,11 +370,11 @@ def _read_by_workers(
     with distributed.Client(address, **options) as client:
         # models are larger than anything else: sent once, and to a worker by another one; a task,
         # unlike scattered data, is computed again where the only worker that holds it is killed
-        known = {id(model): model for _, models in items for model in models}
-        shared = {key: client.submit(_identity, one, pure=False) for key, one in known.items()}
+        distinct = {id(model): model for _, models in items for model in models}
+        sent = {key: client.submit(_identity, one, pure=False) for key, one in distinct.items()}
         trips = {}
         for item in items:
-            models = [shared[id(model)] for model in item[1]]
+            models = [sent[id(model)] for model in item[1]]
             arguments = (evaluate_trip, item[0], models, settings.trips)
             trips[client.submit(*arguments, pure=False, retries=1)] = item
         for future in distributed.as_completed(trips):
@@ -378,4 +391,4 @@ def least_percent(outputs: Sequence[str], models: Sequence[TrainedModel]) -> dic
         name: max(m.training.get("test_rms_percent", {}).get(name, 0.0) for m in models)
         for name in outputs
     }
-    return {name: max(LEAST_PERCENT, RESOLVED * one) for name, one in rms.items()}
+    return {name: max(LEAST_PERCENT, RESOLVED * error) for name, error in rms.items()}

@@ -16,6 +16,7 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 from shlex import quote
+from typing import Any
 
 import numpy as np
 
@@ -126,13 +127,13 @@ def read_table(path: Path) -> dict[str, dict[str, Stated]]:
     files = columns_of_files(names)
     if not files:
         raise ValueError(f"{path}: no column is called file, trip, Datei or Fahrt; it has {names}")
-    found: dict[str, dict[str, Stated]] = {}
+    table: dict[str, dict[str, Stated]] = {}
     for number, row in enumerate(rows[1:], start=2):
         trip = row[files[0]].strip() if len(row) > files[0] else ""
-        if not trip or trip in found:
+        if not trip or trip in table:
             what = f"{trip!r} a second time" if trip else "no file"
             raise ValueError(f"{path}, row {number}: it names {what}")
-        found[trip] = {}
+        table[trip] = {}
         for name, cell in zip(names, row, strict=False):
             key = key_of(name)
             if not key or not cell.strip():
@@ -144,8 +145,8 @@ def read_table(path: Path) -> dict[str, dict[str, Stated]]:
                 raise ValueError(
                     f"{path}, row {number}: {name!r} cannot be read, got {cell!r}{unit}"
                 )
-            found[trip][value[0]] = Stated(value[1], f"by {path.name}")
-    return found
+            table[trip][value[0]] = Stated(value[1], f"by {path.name}")
+    return table
 
 
 def table_of(trips: Sequence[Trip], folder: Path) -> str:
@@ -178,43 +179,33 @@ def folder_manifests(
         raise ValueError(
             f"the table names {', '.join(sorted(unknown)[:5])}, which {folder} does not hold"
         )
+    # all files are read before anything is said of one, so that all faults are reported at once
     contents = all_of(
         partial(lambda one: [contents_of(file) for file in one.files], one) for one in found
     )
-    trips = []
     times = [_file_time(one).timestamp() for one in found]
     is_copy = len(found) > 1 and max(times) - min(times) < COPIED_S * (len(found) - 1)
-    said_of_all = {
+    of_all = {
         key: Stated(_plain_value(key, value), BY_COMMAND_LINE)
         for key, value in said.items()
         if key in PLACE_LINES
     }
+    trips = []
     for one, several in zip(found, contents, strict=True):
-        for path, signals, guessed in _by_bogie(one.path, _signals(several)):
+        of_trip: dict[str, Stated] = {}
+        for name in sorted(names[one.path] & set(table)):
+            of_trip |= table[name]
+        for path, signals, by_columns in _by_bogie(one.path, _signals(several)):
             stated = _stated(one, several, signals, folder)
             if not is_copy and "start" not in stated and not _is_dated(signals):
                 stated["start"] = Stated(_file_time(one).isoformat(), BY_FILE_TIME)
             bogie, word = guessed_bogie(path.stem)
-            known = {"bogie": Stated(bogie, f"guess by files named {word}")} if bogie else {}
-            known |= guessed | stated
-            if "bogie" in guessed:  # columns of both bogies count more than a line
-                known["bogie"] = guessed["bogie"]
-            known |= said_of_all
-            for name in sorted(names[one.path] & set(table)):
-                known |= table[name]
+            by_name = {"bogie": Stated(bogie, f"guess by files named {word}")} if bogie else {}
+            # the later ones count more; columns of both bogies more than a line of the file
+            both = {key: value for key, value in by_columns.items() if key == "bogie"}
+            known = by_name | by_columns | stated | both | of_all | of_trip
             trips.append(_trip(path, one.files, several, signals, known, said, config_dir))
-    for key, value in said.items():
-        is_channel = key.startswith("channels.")
-        if is_channel and not any(_columns(key, value, trip.signals) for trip in trips):
-            files = [_file_and_column(word.strip())[0] for word in value.split(",") if ":" in word]
-            stems = [signal.file.stem for trip in trips for signal in trip.signals]
-            gone = [f for f in files if all(without_word(stem, f) == stem for stem in stems)]
-            raise ValueError(
-                f"`{key}` must name one or two of the columns {_names_of_columns(trips)}, and "
-                f"likewise of those at the bogie's other axle, with {OTHER} at their end; "
-                f"FILE:COLUMN is that of one file; got {value!r}"
-                + (f": there is no file {gone[0]}" if gone else "")
-            )
+    _check_columns(said, trips)
     if "mileage_km" in said and len(trips) > 1:
         raise ValueError(
             f"`mileage_km` is another one in each of the {len(trips)} trips: give "
@@ -223,24 +214,40 @@ def folder_manifests(
     return trips
 
 
+def _check_columns(said: Mapping[str, str], trips: Sequence[Trip]) -> None:
+    """Raise ValueError if no trip has the columns that were said of a channel."""
+    for key, value in said.items():
+        if not key.startswith("channels.") or any(_columns(key, value, t.signals) for t in trips):
+            continue
+        files = [_file_and_column(word.strip())[0] for word in value.split(",") if ":" in word]
+        stems = [signal.file.stem for trip in trips for signal in trip.signals]
+        gone = [file for file in files if all(without_word(stem, file) == stem for stem in stems)]
+        raise ValueError(
+            f"`{key}` must name one or two of the columns {_names_of_columns(trips)}, and "
+            f"likewise of those at the bogie's other axle, with {OTHER} at their end; "
+            f"FILE:COLUMN is that of one file; got {value!r}"
+            + (f": there is no file {gone[0]}" if gone else "")
+        )
+
+
 def _signals(contents: Sequence[Contents]) -> list[Signal]:
     """Return the columns of a trip; files of several folders are named by these as well."""
     signals = [signal for content in contents for signal in content.signals]
     if len({content.file.parent for content in contents}) == 1:
         return signals
-    return [replace(one, names=(*one.names, one.file.parent.name)) for one in signals]
+    return [replace(s, names=(*s.names, s.file.parent.name)) for s in signals]
 
 
 def _by_bogie(
     path: Path, signals: Sequence[Signal]
 ) -> list[tuple[Path, tuple[Signal, ...], dict[str, Stated]]]:
     """Return a trip of each bogie that the names of columns state, with guesses of its place."""
-    axles = [guessed_axle(*one.names) for one in signals]
-    stated = [guessed_bogie(*one.names) for one in signals]
+    axles = [guessed_axle(*signal.names) for signal in signals]
+    stated = [guessed_bogie(*signal.names) for signal in signals]
     if max(axles, default=0) > len(ENDS):  # axles are numbered along the vehicle
         stated = [
-            one if one[0] or not axle else (ENDS[axle > len(ENDS)], f"axle {axle}")
-            for one, axle in zip(stated, axles, strict=True)
+            (bogie, word) if bogie or not axle else (ENDS[axle > len(ENDS)], f"axle {axle}")
+            for (bogie, word), axle in zip(stated, axles, strict=True)
         ]
     bogies: list[str] = [end for end in ENDS if end in dict(stated)]
     parts = []
@@ -261,20 +268,20 @@ def _by_bogie(
 
 
 def _stated(
-    one: TripFiles, contents: Sequence[Contents], signals: Sequence[Signal], folder: Path
+    trip: TripFiles, contents: Sequence[Contents], signals: Sequence[Signal], folder: Path
 ) -> dict[str, Stated]:
     """Return what the files of a trip state."""
-    known: dict[str, Stated] = {}
-    if one.path.parent != folder:
-        known["suspension"] = Stated(one.path.parent.name, "by the folder")
+    stated: dict[str, Stated] = {}
+    if trip.path.parent != folder:
+        stated["suspension"] = Stated(trip.path.parent.name, "by the folder")
     for content in reversed(contents):  # the first file that states a key counts
-        known |= stated_in(content.notes)
-    known |= _by_columns(signals)
+        stated |= stated_in(content.notes)
+    stated |= _by_columns(signals)
     if any(signal.meaning == SPEED for signal in signals):
-        known.pop(SPEED, None)  # a column states more than a line
+        stated.pop(SPEED, None)  # a column states more than a line
     if _is_dated(signals):
-        known.pop("start", None)  # the template takes that of the files' clocks
-    return known
+        stated.pop("start", None)  # the template takes that of the files' clocks
+    return stated
 
 
 def _is_dated(signals: Sequence[Signal]) -> bool:
@@ -289,15 +296,15 @@ def _file_time(one: TripFiles) -> datetime:
 
 def _by_columns(signals: Sequence[Signal]) -> dict[str, Stated]:
     """Return mileage and direction where columns have them: their first value, and their sign."""
-    known: dict[str, Stated] = {}
-    for one in signals:
-        key = key_of(one.name)
-        source = f"by the column {one.name!r}"
-        if key == "mileage_km" and np.isfinite(one.first) and one.first >= 0:
-            known[key] = Stated(round(one.first, 3), source)
-        if key == "direction" and one.deviation == 0 and one.mean in (1, -1):
-            known[key] = Stated(DIRECTIONS[one.mean < 0], source)
-    return known
+    stated: dict[str, Stated] = {}
+    for signal in signals:
+        key = key_of(signal.name)
+        source = f"by the column {signal.name!r}"
+        if key == "mileage_km" and np.isfinite(signal.first) and signal.first >= 0:
+            stated[key] = Stated(round(signal.first, 3), source)
+        if key == "direction" and signal.deviation == 0 and signal.mean in (1, -1):
+            stated[key] = Stated(DIRECTIONS[signal.mean < 0], source)
+    return stated
 
 
 def _trip(
@@ -313,17 +320,18 @@ def _trip(
     names[SPEED] = said.get(SPEED, "")
     columns = {key: _columns(key, text, signals) for key, text in names.items()}
     chosen = {key: addresses for key, addresses in columns.items() if addresses}
+    # a speed that was said, as a column or a number, counts more than one that files state
     if SPEED in chosen:
         known.pop(SPEED, None)
     elif SPEED in said:
         known[SPEED] = Stated(_plain_value(SPEED, said[SPEED]), BY_COMMAND_LINE)
     # columns about the trip are no sensors
-    sensors = [one for one in signals if key_of(one.name) not in ABOUT_TRIP]
-    own = tuple(_with_said(one, said, chosen) for one in sensors)
-    speeds = [one for one in own if one.meaning == SPEED]
+    sensors = [signal for signal in signals if key_of(signal.name) not in ABOUT_TRIP]
+    own = tuple(_with_said(signal, said, chosen) for signal in sensors)
+    speeds = [signal for signal in own if signal.meaning == SPEED]
     if len(speeds) > 1 and SPEED not in said:  # a receiver's is that of the train
-        best = next((one for one in speeds if {"gps", "gnss"} & set(words_of(one.name))), speeds[0])
-        own = tuple(one for one in own if one is best or one not in speeds)
+        best = next((s for s in speeds if {"gps", "gnss"} & set(words_of(s.name))), speeds[0])
+        own = tuple(signal for signal in own if signal is best or signal not in speeds)
     words = [content.read_as for content in contents if content.read_as]
     manifest = template(own, path, words, known, chosen, config_dir)
     return Trip(path, files, known, own, manifest)
@@ -353,15 +361,15 @@ def _columns(key: str, names: str, signals: Sequence[Signal]) -> dict[Address, i
 
     Empty if a trip does not have them: trips of one folder may be those of several loggers.
     """
-    is_one = any(signal.name == names for signal in signals)
-    found: dict[Address, int] = {}
-    for word in [names] if is_one else [part.strip() for part in names.split(",")]:
+    is_single = any(signal.name == names for signal in signals)
+    axles: dict[Address, int] = {}
+    for word in [names] if is_single else [part.strip() for part in names.split(",")]:
         first = _named(key, word, signals)
         named = first or _named(key, word.removesuffix(OTHER), signals)
         if not named:
             return {}
-        found |= dict.fromkeys(named, 1 if first else 2)
-    return found if max(Counter(found.values()).values()) <= len(SIDES) else {}
+        axles |= dict.fromkeys(named, 1 if first else 2)
+    return axles if max(Counter(axles.values()).values()) <= len(SIDES) else {}
 
 
 def _named(key: str, word: str, signals: Sequence[Signal]) -> list[Address]:
@@ -379,34 +387,36 @@ def _named(key: str, word: str, signals: Sequence[Signal]) -> list[Address]:
     shown = [signal for signal in named if signal.meaning == key.removeprefix("channels.")]
     if len(named) > 1 and shown:
         named = shown[:1] if key == SPEED else shown
-    are_distinct = len({signal.side for signal in named}) == len(named)
-    return [one.address for one in sorted(named, key=lambda one: one.side)] if are_distinct else []
+    by_side = {signal.side: signal.address for signal in named}
+    return [by_side[side] for side in sorted(by_side)] if len(by_side) == len(named) else []
 
 
 def _with_said(
-    one: Signal, said: Mapping[str, str], chosen: Mapping[str, Mapping[Address, int]]
+    signal: Signal, said: Mapping[str, str], chosen: Mapping[str, Mapping[Address, int]]
 ) -> Signal:
     """Return a signal with what was said for all: side, axle, unit and rate.
 
     Unit and rate are those of its file if it states them. Chosen columns are left and right
     in turn.
     """
-    meaning = one.meaning
-    for what, columns in chosen.items():
-        if one.address in columns:
-            meaning = what
-            side = SIDES[list(columns).index(one.address) % 2] if len(columns) > 1 else ""
-            one = replace(one, names=(side, *one.names), axle=columns[one.address])
+    meaning, address, changes = signal.meaning, signal.address, dict[str, Any]()
+    for key, columns in chosen.items():
+        if address in columns:
+            meaning = key
+            side = SIDES[list(columns).index(address) % 2] if len(columns) > 1 else ""
+            changes |= {"names": (side, *signal.names), "axle": columns[address]}
     prefix = "speed_" if meaning == SPEED else ""
     unit, rate = said.get(f"{prefix}unit", ""), said.get(f"{prefix}rate_hz")
-    if unit and not one.unit:
-        one = replace(one, unit=unit, said=("unit",))
-    if rate and not one.time and not np.isfinite(one.rate_hz):
-        rate_hz = float(_plain_value("rate_hz", rate))
-        one = replace(one, rate_hz=rate_hz, said=(*one.said, "rate_hz"))
-    if "range" in said and meaning != SPEED and one.column.full_scale is not None:
-        one = replace(one, range=float(_plain_value("range", said["range"])))
-    return one
+    by_user: list[str] = []
+    if unit and not signal.unit:
+        changes["unit"] = unit
+        by_user.append("unit")
+    if rate and not signal.time and not np.isfinite(signal.rate_hz):
+        changes["rate_hz"] = float(_plain_value("rate_hz", rate))
+        by_user.append("rate_hz")
+    if "range" in said and meaning != SPEED and signal.column.full_scale is not None:
+        changes["range"] = float(_plain_value("range", said["range"]))
+    return replace(signal, **changes, said=tuple(by_user))
 
 
 def _plain_value(key: str, text: str) -> str | float:
@@ -440,21 +450,18 @@ def how_to_say(key: str, trips: Sequence[Trip]) -> str:
 
 def hint_at_one_trip(trips: Sequence[Trip]) -> str:
     """Return how channels of one trip are said; empty unless each file has too few for a trip."""
-    columns = [
-        [one.name for one in trip.signals if not is_of_another_direction(one.name)]
-        for trip in trips
-    ]
-    sizes = [
-        len(names) if len(trip.files) == 1 else 0
+    columns = [[s.name for s in t.signals if not is_of_another_direction(s.name)] for t in trips]
+    have_few = (
+        len(trip.files) == 1 and 0 < len(names) < len(CHANNELS)
         for trip, names in zip(trips, columns, strict=True)
-    ]
-    if len(trips) < 2 or not 0 < min(sizes) <= max(sizes) < len(CHANNELS):
+    )
+    if len(trips) < 2 or not all(have_few):
         return ""
-    said = [
+    words = [
         quote(f"channels.{name}={trip.files[0].stem}:{names[0]}")
         for name, trip, names in zip(CHANNELS, trips, columns, strict=False)
     ]
-    return f"  if these files are the sensors of one trip: {' '.join(said)}"
+    return f"  if these files are the sensors of one trip: {' '.join(words)}"
 
 
 def _names_of_columns(trips: Sequence[Trip]) -> str:
@@ -469,7 +476,8 @@ def _names_of_columns(trips: Sequence[Trip]) -> str:
             names[f"{logger}:{signal.name}" if of_loggers else signal.name] = None
         if of_loggers:
             note = " (files that FILE:COLUMN names are of one trip)"
-    return ", ".join(list(names)[:MOST_SHOWN]) + ", ..." * (len(names) > MOST_SHOWN) + note
+    more = ", ..." if len(names) > MOST_SHOWN else ""
+    return ", ".join(list(names)[:MOST_SHOWN]) + more + note
 
 
 def origins(trips: Sequence[Trip]) -> list[str]:

@@ -61,13 +61,13 @@ def find_groups(folder: Path) -> list[Group]:
         try:
             manifests = find_manifests(part)
         except OSError as error:
-            found = [Group(part, Place(part.name), error=why(error))]
-        else:
-            found = _split(part, manifests)
-            if all(group.place == Place() for group in found):
-                words = Finding("no-suspension-named", n_manifests=len(manifests))
-                found = [Group(part, Place(part.name), error=words)]
-        groups += found
+            groups.append(Group(part, Place(part.name), error=why(error)))
+            continue
+        split = _split(part, manifests)
+        if all(group.place == Place() for group in split):
+            words = Finding("no-suspension-named", n_manifests=len(manifests))
+            split = [Group(part, Place(part.name), error=words)]
+        groups += split
     if not any(group.manifests for group in groups):
         find_manifests(folder)  # raises the reason
     return _named(groups, folder)
@@ -92,12 +92,11 @@ def lone_trains(places: Iterable[Key]) -> dict[str, list[str]]:
 
     Only vehicles with several; bogies and sides of one suspension are in one train.
     """
-    found: dict[str, dict[str, None]] = {}
+    alone: dict[str, set[str]] = {}
     for vehicle, place in places:
         if not place.train:
-            one = str(replace(place, bogie="", side=""))
-            found.setdefault(vehicle, {})[one] = None
-    return {vehicle: sorted(several) for vehicle, several in found.items() if len(several) > 1}
+            alone.setdefault(vehicle, set()).add(str(replace(place, bogie="", side="")))
+    return {vehicle: sorted(several) for vehicle, several in alone.items() if len(several) > 1}
 
 
 def _holds_manifests(folder: Path) -> bool:
@@ -106,22 +105,18 @@ def _holds_manifests(folder: Path) -> bool:
 
 def _split(folder: Path, manifests: Iterable[Path]) -> list[Group]:
     files = [ManifestFile(path) for path in manifests]
-    known = sorted({file.place for file in files if file.place is not None})
-    rest = known[0] if len(known) == 1 else Place()
+    named = {file.place for file in files if file.place is not None}
+    unnamed = named.pop() if len(named) == 1 else Place()
     by_place: dict[Place, list[ManifestFile]] = {}
     for file in files:
-        by_place.setdefault(file.place or rest, []).append(file)
+        by_place.setdefault(file.place or unnamed, []).append(file)
     return [Group(folder, place, tuple(by_place[place])) for place in sorted(by_place)]
 
 
 def _warn_of_unread(folder: Path) -> None:
-    unread = sorted(p.name for p in folder.iterdir() if p.is_dir() and _holds_manifests(p))
-    if unread:
-        log.warning(
-            "%s holds manifests of its own, so its subfolders are not read: %s",
-            folder,
-            ", ".join(unread),
-        )
+    if unread := sorted(p.name for p in folder.iterdir() if p.is_dir() and _holds_manifests(p)):
+        words = "%s holds manifests of its own, so its subfolders are not read: %s"
+        log.warning(words, folder, ", ".join(unread))
 
 
 def _named(groups: list[Group], folder: Path) -> list[Group]:

@@ -84,40 +84,47 @@ def template(
     """
     known, chosen = known or {}, chosen or {}
     writer = _Writer(path.parent, tuple(chosen))
+    # columns that were chosen count more than those that are guessed by their names
     by_meaning: dict[str, list[Signal]] = {}
-    for one in signals:
-        by_meaning.setdefault(one.meaning, []).append(one)
-    for what, addresses in chosen.items():
-        by_meaning[what] = [one for one in signals if one.address in addresses]
-    lines = [HEAD + _on_one_line(_check_command(path, config_dir))]
-    lines += [f"# {_on_one_line(words)}" for words in read_as]
-    lines.append(f"format: {FORMAT}")
-    for key, line in PLACE_LINES.items():
-        if key == "side" and key not in known:
-            lines += writer.side(by_meaning)
-        elif key == "start" and key not in known:
-            lines.append(_start(signals))
-        elif key not in known:
-            writer.blanks += [key] * (BLANK in line)
-            lines.append(line)
-        elif known[key].value != MIDDLE:
-            lines.append(f"{key}: {_yaml(known[key].value)}  # {_on_one_line(known[key].comment)}")
-    lines.append("")
+    for signal in signals:
+        by_meaning.setdefault(signal.meaning, []).append(signal)
+    for meaning, addresses in chosen.items():
+        by_meaning[meaning] = [signal for signal in signals if signal.address in addresses]
     taken = {address for several in chosen.values() for address in several}
-    rest = [one for one in by_meaning.get("", []) if one.address not in taken]
+    unknown = [signal for signal in by_meaning.get("", []) if signal.address not in taken]
+    lines = [
+        HEAD + _on_one_line(_check_command(path, config_dir)),
+        *(f"# {_on_one_line(words)}" for words in read_as),
+        f"format: {FORMAT}",
+    ]
+    for key, line in PLACE_LINES.items():
+        if key in known:
+            lines += [_stated_line(key, known[key])] if known[key].value != MIDDLE else []
+        elif key == "side":
+            lines += writer.side(by_meaning)
+        elif key == "start":
+            lines.append(_start(signals))
+        else:
+            writer.blanks += [key] if BLANK in line else []
+            lines.append(line)
+    lines.append("")
     if SPEED in known:
-        lines.append(f"speed: {_yaml(known[SPEED].value)}  # {_on_one_line(known[SPEED].comment)}")
+        lines.append(_stated_line(SPEED, known[SPEED]))
     else:
-        lines += writer.speed(by_meaning.get(SPEED, []), rest)
+        lines += writer.speed(by_meaning.get(SPEED, []), unknown)
     lines += ["", "channels:"]
     for name in CHANNELS:
-        lines += writer.channel(name, by_meaning.get(name, []), rest or signals)
-    if rest:
-        more = f" and {len(rest) - LISTED} more" if len(rest) > LISTED else ""
-        names = ", ".join(_yaml(one.name) for one in rest[:LISTED])
+        lines += writer.channel(name, by_meaning.get(name, []), unknown or signals)
+    if unknown:
+        more = f" and {len(unknown) - LISTED} more" if len(unknown) > LISTED else ""
+        names = ", ".join(_yaml(signal.name) for signal in unknown[:LISTED])
         lines += ["", f"# columns of unknown meaning: {names}{more}"]
     blanks = tuple(dict.fromkeys(writer.blanks))
     return Template("\n".join(lines) + "\n", blanks, tuple(writer.guesses))
+
+
+def _stated_line(key: str, stated: Stated) -> str:
+    return f"{key}: {_yaml(stated.value)}  # {_on_one_line(stated.comment)}"
 
 
 def _check_command(path: Path, config_dir: Path | None) -> str:
@@ -130,7 +137,7 @@ def _check_command(path: Path, config_dir: Path | None) -> str:
 
 def _start(signals: Sequence[Signal]) -> str:
     """Return the line of the start: from the files, or a comment if they do not state it."""
-    zeros = [one.zero for one in signals]
+    zeros = [signal.zero for signal in signals]
     moment, doubt = first_moment(zeros)
     if moment is None:
         return f"# start: 2015-08-03T08:00:00  # {doubt or 'when the trip started'}"
@@ -148,42 +155,43 @@ class _Writer:
 
     def side(self, by_meaning: Mapping[str, Sequence[Signal]]) -> list[str]:
         """Return the line of the side, which single sensors without a side of their own need."""
-        found = [by_meaning.get(name, []) for name in CHANNELS]
-        if not any(len(signals) == 1 and not signals[0].side for signals in found):
+        several = [by_meaning.get(name, []) for name in CHANNELS]
+        if not any(len(own) == 1 and not own[0].side for own in several):
             return ["# side: left      # or right: of the suspension"]
         self.blanks.append("side")
         where = "left or right, where single sensors are; delete the line if in the middle"
         return [f"side:             # {BLANK}: {where}"]
 
-    def speed(self, found: Sequence[Signal], rest: Sequence[Signal]) -> list[str]:
-        """Return the lines of the speed; `found` are its candidates by name."""
-        if len(found) == 1:
-            entry, blanks, words = self._entry(found[0], SPEED)
+    def speed(self, candidates: Sequence[Signal], others: Sequence[Signal]) -> list[str]:
+        """Return the lines of the speed from its candidates by name, or else from other columns."""
+        if len(candidates) == 1:
+            entry, blanks, words = self._entry(candidates[0], SPEED)
             self.blanks += [f"speed.{key}" for key in blanks]
             return [f"speed: {entry}  # {self._how(SPEED, SPEED)}; {words}"]
         self.blanks.append("speed")
-        offers = self._offers(found or rest, SPEED, "  # ")
-        other = "one of these without the #" if offers else "a source like that of a channel"
-        return [
-            f"speed:            # {BLANK}: one number with its unit (252 km/h), or {other}",
-            *offers,
-        ]
+        offers = self._offers(candidates or others, SPEED, "  # ")
+        source = "one of these without the #" if offers else "a source like that of a channel"
+        words = f"{BLANK}: one number with its unit (252 km/h), or {source}"
+        return [f"speed:            # {words}", *offers]
 
-    def channel(self, name: str, found: Sequence[Signal], rest: Sequence[Signal]) -> list[str]:
-        """Return the lines of a channel; `found` are its candidates by name."""
-        vertical = [one for one in found if not is_of_another_direction(one.name)] or found
+    def channel(
+        self, name: str, candidates: Sequence[Signal], others: Sequence[Signal]
+    ) -> list[str]:
+        """Return the lines of a channel from its candidates by name, or else from other columns."""
+        vertical = [s for s in candidates if not is_of_another_direction(s.name)] or candidates
         axles = _axles(vertical) if name != CHANNELS[2] else [1] * len(vertical)
-        sides = [[v.side for v, a in zip(vertical, axles, strict=True) if a == at] for at in (1, 2)]
-        if vertical and all(len(one) < 2 or sorted(one) == sorted(SIDES) for one in sides):
+        sides = [[s.side for s, a in zip(vertical, axles, strict=True) if a == at] for at in (1, 2)]
+        # one sensor, or a left and a right one, at each axle need no choice
+        if vertical and all(len(own) < 2 or sorted(own) == sorted(SIDES) for own in sides):
             lines = [f"  {name}:  # {self._how(name, f'channels.{name}')}"]
-            for one, axle in zip(vertical, axles, strict=True):
-                entry, blanks, words = self._entry(one, ACCELERATION, one.side, axle)
+            for signal, axle in zip(vertical, axles, strict=True):
+                entry, blanks, words = self._entry(signal, ACCELERATION, axle)
                 self.blanks += [f"channels.{name}.{key}" for key in blanks]
                 lines.append(f"    - {entry}  # {words}")
-            others = [one for one in found if one not in vertical]
-            return lines + self._offers(others, ACCELERATION, "    # - ")
+            rest = [signal for signal in candidates if signal not in vertical]
+            return lines + self._offers(rest, ACCELERATION, "    # - ")
         self.blanks.append(f"channels.{name}")
-        offers = found or rest
+        offers = candidates or others
         words = "take one of these, or a left and a right one, without the #"
         if name != CHANNELS[2]:
             words += "; those of the bogie's other axle get axle: 2"
@@ -200,58 +208,41 @@ class _Writer:
         return "guess by the name"
 
     def _offers(self, signals: Sequence[Signal], kind: str, mark: str) -> list[str]:
-        lines = []
-        for one in signals[:LISTED]:
-            entry, _, words = self._entry(one, kind, one.side)
-            lines.append(f"{mark}{entry}  # {words}")
+        entries = [self._entry(signal, kind) for signal in signals[:LISTED]]
+        lines = [f"{mark}{entry}  # {words}" for entry, _, words in entries]
         more = len(signals) - LISTED
         return lines + ([f"    # and {more} more columns"] if more > 0 else [])
 
-    def _entry(
-        self, one: Signal, kind: str, side: str = "", axle: int = 1
-    ) -> tuple[str, list[str], str]:
-        allowed = ACCELERATION_UNITS if kind == ACCELERATION else SPEED_UNITS
-        content: dict[str, object] = {"file": self._relative(one.file), "column": one.name}
-        if side and kind == ACCELERATION:
-            content["side"] = side
-        if axle != 1:
-            content["axle"] = axle
-        words = []
-        size = size_of(kind, one.unit)
-        if size is None:
-            content["unit"] = BLANK
-            says = f", the file says {one.unit!r}" if one.unit else ""
-            words.append(f"unit {' or '.join(allowed)}?{says}{_gravity(one, kind)}")
-        else:
-            names = [name for name, known in allowed.items() if math.isclose(known, size)]
-            by_file = one.column.unit is not None
-            if names:
-                content["unit"] = names[0]
-            by_name = BY_COMMAND_LINE if "unit" in one.said else "by the name"
-            words.append(f"unit {one.unit} {'by the file' if by_file else by_name}")
-            if not names and not by_file:
-                content["unit"] = BLANK
-        if one.time:
-            content["time"] = one.time
-            words.append(f"{one.rate_hz:.6g} Hz by its times")
-            if one.time_unit:
-                content["time_unit"] = one.time_unit
-        elif math.isfinite(one.rate_hz):
-            content["rate_hz"] = float(one.rate_hz)
-            words.append(f"rate {BY_COMMAND_LINE if 'rate_hz' in one.said else 'by the file'}")
+    def _entry(self, signal: Signal, kind: str, axle: int = 1) -> tuple[str, list[str], str]:
+        """Return a signal in YAML, the keys in it that are blank, and a comment."""
+        is_acceleration = kind == ACCELERATION
+        is_fraction = is_acceleration and signal.column.full_scale is not None
+        content: dict[str, object] = {
+            "file": self._relative(signal.file),
+            "column": signal.name,
+            "side": signal.side if is_acceleration and signal.side else None,
+            "axle": axle if axle != 1 else None,
+        }
+        content["unit"], unit_words = _unit(signal, kind)
+        words = [unit_words]
+        if signal.time:
+            content |= {"time": signal.time, "time_unit": signal.time_unit or None}
+            words.append(f"{signal.rate_hz:.6g} Hz by its times")
+        elif math.isfinite(signal.rate_hz):
+            content["rate_hz"] = float(signal.rate_hz)
+            words.append(f"rate {BY_COMMAND_LINE if 'rate_hz' in signal.said else 'by the file'}")
         else:
             content["rate_hz"] = BLANK
             words.append("rate in Hz?")
-        is_fraction = kind == ACCELERATION and one.column.full_scale is not None
-        if is_fraction or math.isfinite(one.range):
-            content["range"] = one.range if math.isfinite(one.range) else BLANK
+        if is_fraction or math.isfinite(signal.range):
+            content["range"] = signal.range if math.isfinite(signal.range) else BLANK
         if is_fraction:
             words.append("range: what full scale is in that unit, these are fractions of it")
-        words.append(f"mean {one.mean:.3g}, rms about it {one.deviation:.3g}")
-        if kind == ACCELERATION and is_of_another_direction(one.name):
+        words.append(f"mean {signal.mean:.3g}, rms about it {signal.deviation:.3g}")
+        if is_acceleration and is_of_another_direction(signal.name):
             words.append("vertical?")
         blanks = [key for key, value in content.items() if value is BLANK]
-        inside = ", ".join(f"{key}: {_yaml(value)}" for key, value in content.items())
+        inside = ", ".join(f"{k}: {_yaml(v)}" for k, v in content.items() if v is not None)
         return f"{{{inside}}}", blanks, _on_one_line("; ".join(words))
 
     def _relative(self, file: Path) -> str:
@@ -261,13 +252,27 @@ class _Writer:
             return str(file.resolve())
 
 
+def _unit(signal: Signal, kind: str) -> tuple[str | None, str]:
+    """Return a signal's unit as a manifest writes it, and how it is known or what it may be."""
+    allowed = ACCELERATION_UNITS if kind == ACCELERATION else SPEED_UNITS
+    size = size_of(kind, signal.unit)
+    if size is None:
+        stated = f", the file says {signal.unit!r}" if signal.unit else ""
+        return BLANK, f"unit {' or '.join(allowed)}?{stated}{_gravity(signal, kind)}"
+    names = [name for name, other in allowed.items() if math.isclose(other, size)]
+    if signal.column.unit is not None:  # the reader knows it, in whatever way it is written
+        return names[0] if names else None, f"unit {signal.unit} by the file"
+    how = BY_COMMAND_LINE if "unit" in signal.said else "by the name"
+    return names[0] if names else BLANK, f"unit {signal.unit} {how}"
+
+
 def _axles(signals: Sequence[Signal]) -> list[int]:
     """Return the bogie's axle of each sensor: as said, by names with both and sides, else 1."""
-    said = [one.axle for one in signals]
-    named = [guessed_axle(*one.names) for one in signals if one.side]
-    if not any(said) and len(named) == len(said) and set(named) in ({1, 2}, {3, 4}):
+    stated = [signal.axle for signal in signals]
+    named = [guessed_axle(*signal.names) for signal in signals if signal.side]
+    if not any(stated) and len(named) == len(stated) and set(named) in ({1, 2}, {3, 4}):
         return [2 - number % 2 for number in named]  # without sides they may be left and right
-    return [axle or 1 for axle in said]
+    return [axle or 1 for axle in stated]
 
 
 def _yaml(value: object) -> str:
@@ -281,9 +286,11 @@ def _on_one_line(words: str) -> str:
     return "".join(letter if letter.isprintable() else " " for letter in words)
 
 
-def _gravity(one: Signal, kind: str) -> str:
+def _gravity(signal: Signal, kind: str) -> str:
     """Return the unit of a sensor that also measures gravity; empty if it does not."""
+    if kind != ACCELERATION:
+        return ""
     for unit, size in GRAVITY.items():
-        if kind == ACCELERATION and abs(abs(one.mean) / size - 1) < 0.1 > one.deviation / size / 10:
-            return f", a mean of {one.mean:.2f} is gravity if it is {unit}"
+        if abs(abs(signal.mean) / size - 1) < 0.1 > signal.deviation / size / 10:
+            return f", a mean of {signal.mean:.2f} is gravity if it is {unit}"
     return ""

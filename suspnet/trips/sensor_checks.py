@@ -67,13 +67,12 @@ def check_sensors(
     def check_channel_order(chosen: Tensor) -> None:
         speed = float(segment_speeds(recording, segments)[chosen].mean())
         manifest, frequencies_hz = recording.manifest, segments.frequencies_hz
-        there = _measured_at(manifest) | place
-        generator = best_generator(vehicle, speed_m_per_s=speed, **there)
+        generator = best_generator(vehicle, speed_m_per_s=speed, **(_measured_at(manifest) | place))
         spectra, single = segments.average(chosen), not all(recording.paired)
         shown, factor = shown_direction(spectra, frequencies_hz, generator)
         # in reverse the leading bogie moves like the trailing one: unnamed, either will do
-        said = manifest.direction if manifest.bogie else None
-        generator = generator.running(said or shown)
+        stated = manifest.direction if manifest.bogie else None
+        generator = generator.running(stated or shown)
         if generator.direction and not manifest.direction:
             if factor < DIRECTION_MARGIN:
                 doubts.append(NO_DIRECTION)
@@ -90,8 +89,9 @@ def check_sensors(
             return check_bogie(recording, vehicle, settings, ways, place)
         return None
 
-    parts = [check_channel_order, *([check_sides] if any(recording.paired) else [])]
-    each = [partial(part, chosen) for part in parts for chosen in checked]
+    # all checks run, so that all problems are reported at once
+    of_segments = [check_channel_order, *([check_sides] if any(recording.paired) else [])]
+    each = [partial(check, chosen) for check in of_segments for chosen in checked]
     *_, trip = all_of([*each, check_parts])
     frame_sensor = place.get("frame_sensor", "axle")
     return tuple(dict.fromkeys(filter(None, doubts))), trip is not None, frame_sensor

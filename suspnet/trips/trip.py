@@ -16,10 +16,10 @@ from torch import Tensor
 
 from suspnet.estimation.bogie_trips import UNEXPLAINED, UnexplainedError
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
-from suspnet.estimation.estimate import Estimate, HealthyValues
-from suspnet.estimation.from_recording import at_healthy_temperature, both_ways
+from suspnet.estimation.estimate import Estimate
+from suspnet.estimation.from_recording import BothWays, at_healthy_temperature, both_ways
 from suspnet.estimation.from_spectra import trip_settings
-from suspnet.estimation.steady_parts import SeenBin, SpeedBin, combined, largest
+from suspnet.estimation.steady_parts import SeenBin, combined, largest
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_flags import with_sides
 from suspnet.estimation.trip_settings import TripSettings
@@ -27,7 +27,6 @@ from suspnet.ground.findings import (
     NO_PART,
     WITHOUT_SENSORS,
     Finding,
-    parts_of,
     together,
     with_values,
     without,
@@ -44,6 +43,7 @@ from suspnet.ground.records import (
 )
 from suspnet.ground.storage import one_line
 from suspnet.ground.tensors import threads
+from suspnet.ground.types import FloatArray
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.manifest_files import ManifestFile
@@ -66,17 +66,13 @@ def evaluate_trip(
     `trip` is its manifest; `models` has one for each speed bin and commissioning, all with the same
     outputs.
     """
-    start = time.perf_counter()
     file = trip if isinstance(trip, ManifestFile) else ManifestFile(trip)
-    result = TripResult(trip=file.path.stem, manifest=str(file.path), status=ERROR)
     try:
         manifest = file.trip
     except Exception as error:
-        result = _failed(result, error)
-    else:
-        read = functools.partial(load_recording, manifest, settings.rate_hz)
-        result = evaluate_recording(manifest, read, models, settings)
-    return replace(result, seconds=time.perf_counter() - start)
+        return lost_trip(file.path, _reason(error, file.path))
+    read = functools.partial(load_recording, manifest, settings.rate_hz)
+    return evaluate_recording(manifest, read, models, settings)
 
 
 @threads(1)
@@ -91,189 +87,177 @@ def evaluate_recording(
     `read` returns the recording; an exception that it raises is the reason.
     """
     start = time.perf_counter()
-    result = TripResult(trip=manifest.name, manifest=str(manifest.path), status=ERROR)
-    result = _described(result, manifest)
+    about: dict[str, Any] = {
+        "trip": manifest.name,
+        "manifest": str(manifest.path),
+        "vehicle": manifest.vehicle,
+        "place": manifest.place,
+        "mileage_km": manifest.mileage_km,
+        "truth": dict(manifest.truth),
+        "temperature_c": np.nan if manifest.temperature_c is None else manifest.temperature_c,
+    }
+    if manifest.start:
+        about["start"] = manifest.start.isoformat()
     try:
         models = models_at(models, manifest.mileage_km)
-        result = replace(result, healthy_since_km=since_km(models[0]))
-        result = _estimated(result, manifest, read, models, settings)
+        about["healthy_since_km"] = since_km(models[0])
+        _check_measured(manifest, models)
+        outcome = outcome_of(read(), models, settings)
     except Exception as error:  # a fault in one trip must not end the run of a fleet
-        result = _failed(result, error)
-    return _in_lines(replace(result, seconds=time.perf_counter() - start))
-
-
-def _failed(result: TripResult, error: Exception) -> TripResult:
-    words = without(result.manifest, str(error))
-    if not isinstance(error, TripError):
-        log.debug("trip %s failed", result.manifest, exc_info=error)
-        words = f"{type(error).__name__}: {error}"
-    return _in_lines(replace(result, reason=words))
+        outcome = {"status": ERROR, "reason": _reason(error, manifest.path)}
+    seconds = time.perf_counter() - start
+    return _in_lines(TripResult(**(outcome | about), seconds=seconds))
 
 
 def lost_trip(path: Path, reason: str) -> TripResult:
-    """Return the result of a trip whose evaluation was interrupted."""
+    """Return the result of a trip of which nothing but its manifest's path is known."""
     return _in_lines(TripResult(path.stem, str(path), status=ERROR, reason=reason))
 
 
+def _reason(error: Exception, manifest: Path) -> str:
+    if isinstance(error, TripError):
+        return without(manifest, str(error))
+    log.debug("trip %s failed", manifest, exc_info=error)
+    return f"{type(error).__name__}: {error}"
+
+
 def _in_lines(result: TripResult) -> TripResult:
+    """Return a result whose texts are of one line each, as tables need them."""
     place = Place(*map(one_line, astuple(result.place)))
     values = {f.name: getattr(result, f.name) for f in fields(result)}
-    changes: dict[str, Any] = {
-        k: with_values(v, one_line) for k, v in values.items() if isinstance(v, str)
+    texts: dict[str, Any] = {
+        name: with_values(value, one_line)
+        for name, value in values.items()
+        if isinstance(value, str)
     }
-    return replace(result, place=place, **changes)
+    return replace(result, place=place, **texts)
 
 
-def _described(result: TripResult, manifest: TripManifest) -> TripResult:
-    return replace(
-        result,
-        vehicle=manifest.vehicle,
-        place=manifest.place,
-        mileage_km=manifest.mileage_km,
-        start=manifest.start.isoformat() if manifest.start else "",
-        truth=dict(manifest.truth),
-        temperature_c=np.nan if manifest.temperature_c is None else manifest.temperature_c,
-    )
-
-
-def _estimated(
-    result: TripResult,
-    manifest: TripManifest,
-    read: Callable[[], Recording],
-    models: Sequence[TrainedModel],
-    settings: TripSettings,
-) -> TripResult:
-    for name in sorted({model.vehicle.name for model in models}):
-        if name != manifest.vehicle:
-            raise TripError(
-                Finding("model-of-other-vehicle", vehicle=repr(manifest.vehicle), name=repr(name))
-            )
+def _check_measured(manifest: TripManifest, models: Sequence[TrainedModel]) -> None:
+    """Raise TripError if the models were not trained for the trip's vehicle and axle."""
+    for name in sorted({model.vehicle.name for model in models} - {manifest.vehicle}):
+        raise TripError(
+            Finding("model-of-other-vehicle", vehicle=repr(manifest.vehicle), name=repr(name))
+        )
     axle = getattr(models[0].generator, "axle", None)  # those of users need not name one
     if axle and manifest.axle and manifest.axle != axle:
         raise TripError(Finding("model-of-other-axle", axle=manifest.axle, axle2=manifest.axle))
-    recording = read()
-    quality = Quality(
-        duration_s=recording.duration_s,
-        usable_percent=100 * float(recording.usable.mean()),
-        faults=together(map(str, recording.faults)),
-        read_as=recording.words,
-    )
-    if not result.start and recording.started is not None:
-        result = replace(result, start=recording.started.isoformat())
-    wheels = wheel_words(recording, wheel_lines(recording))
-    sensors = sensor_health(recording, models[0].generator, _welch(models[0]))
-    quality = replace(quality, wheels=wheels, sensors=sensors_text(sensors))
-    segments = {one: recording_segments(recording, one) for one in map(_welch, models)}
-    n_total = max(len(found.values) for found in segments.values())
-    result = replace(result, quality=replace(quality, segments_total=n_total))
+
+
+def outcome_of(
+    recording: Recording, models: Sequence[TrainedModel], settings: TripSettings
+) -> dict[str, Any]:
+    """Return the fields of a result that the recording decides."""
+    segments = {welch: recording_segments(recording, welch) for welch in map(_welch, models)}
+    start = "" if recording.started is None else recording.started.isoformat()
+    quality: dict[str, Any] = {
+        "duration_s": recording.duration_s,
+        "usable_percent": 100 * float(recording.usable.mean()),
+        "faults": together(map(str, recording.faults)),
+        "read_as": recording.words,
+        "wheels": wheel_words(recording, wheel_lines(recording)),
+        "sensors": sensors_text(sensor_health(recording, models[0].generator, _welch(models[0]))),
+        "segments_total": max(len(several.values) for several in segments.values()),
+    }
     pairs = [(model, segments[_welch(model)]) for model in models]
     try:
-        found = both_ways(pairs, recording, settings)
-    except TripError as error:  # reported only now, as the quality is known
-        return replace(result, reason=str(error))
-    if isinstance(found.bins, NoEstimateError):
-        result = replace(result, status=NO_ESTIMATE, reason=str(found.bins))
-    else:
-        result = _with_quality(result, recording, found.bins)
-    if found.equal:
-        result = _with_equal(result, recording, found.equal)
-    return _with_parts(result, models[0].bogie, found.parts)
+        shown = both_ways(pairs, recording, settings)
+    except (TripError, NoEstimateError) as error:  # with the quality, which may show why
+        status = ERROR if isinstance(error, TripError) else NO_ESTIMATE
+        refused = {"status": status, "reason": str(error)}
+        return refused | {"start": start, "quality": Quality(**quality)}
+    outcome, misfit = _of_estimate(shown, models[0].bogie, recording)
+    bins = [] if isinstance(shown.bins, NoEstimateError) else shown.bins
+    if bins:
+        quality |= _of_bins(bins, recording)
+    warnings = together((*dict.fromkeys(one.doubts for one in bins), _of_parts(shown.parts)))
+    return outcome | {
+        "start": start,
+        "quality": Quality(**quality, misfit=misfit, warnings=warnings),
+        "curves": _curves(largest(bins), recording) if bins else None,
+    }
 
 
-def _with_equal(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]) -> TripResult:
-    """Return a result with the combined estimate of both sides as equal."""
-    estimate, sides = with_sides(combined(bins), bins, recording)
-    estimate = at_healthy_temperature(bins[0].method, estimate, recording)
-    return _with_values(replace(result, sides=sides), estimate, largest(bins).method.healthy)
+def _of_estimate(
+    shown: BothWays, bogie: CommissionedBogie | None, recording: Recording
+) -> tuple[dict[str, Any], float]:
+    """Return the fields of a result that its estimate decides, and the estimate's misfit.
 
-
-def _with_parts(
-    result: TripResult,
-    bogie: CommissionedBogie | None,
-    parts: Estimate | NoEstimateError | None,
-) -> TripResult:
-    """Return a result with the estimate of each part in place of that of both sides as equal.
-
-    If the trip does not show the parts, it stays as it is, and a warning says why; it is flagged
-    if no change of the parts explains it.
+    It is the estimate of each part if the trip shows them, else that of both sides as equal.
     """
-    if bogie is None or parts is None:
-        return result
+    sides = worn = unexplained = ""
+    if isinstance(shown.parts, Estimate):
+        assert bogie is not None  # whose parts these are
+        estimate, healthy, worn = shown.parts, bogie.healthy, shown.parts.found
+    else:
+        unexplained = UNEXPLAINED if isinstance(shown.parts, UnexplainedError) else ""
+        if isinstance(shown.bins, NoEstimateError):
+            reason = {"status": NO_ESTIMATE, "reason": str(shown.bins)}
+            return reason | {"flags": unexplained}, np.nan
+        equal, sides = with_sides(combined(shown.equal), shown.equal, recording)
+        estimate = at_healthy_temperature(shown.equal[0].method, equal, recording)
+        healthy = largest(shown.equal).method.healthy
+
+    def by_name(values: FloatArray) -> dict[str, float]:
+        return dict(zip(estimate.names, values.tolist(), strict=True))
+
+    return {
+        "status": OK,
+        "estimates": by_name(estimate.values[0]),
+        "raw": by_name(estimate.values[0]),
+        "half_widths": by_name(estimate.half_widths[0]),
+        "healthy_si": by_name(healthy.values),
+        "healthy_half_widths": by_name(healthy.half_widths(estimate.level)),
+        "flags": together((estimate.flags.reasons[0], unexplained)),
+        "sides": sides,
+        "worn": worn,
+    }, estimate.misfit
+
+
+def _of_parts(parts: Estimate | NoEstimateError | None) -> str:
+    """Return a warning if no part was read, or if some sensors were not used; else empty."""
     if isinstance(parts, NoEstimateError):
-        if isinstance(parts, UnexplainedError):
-            result = replace(result, flags=together((result.flags, UNEXPLAINED)))
-        return _warned(result, Finding(NO_PART, words=str(parts)))
-    result = replace(result, reason="", worn=parts.found)
-    if parts.lost:
-        result = _warned(
-            result, Finding(WITHOUT_SENSORS, names=parts.lost, listed=together(parts.lost, ", "))
-        )
-    return _with_values(result, parts, bogie.healthy)
-
-
-def _warned(result: TripResult, words: str) -> TripResult:
-    warnings = together((*parts_of(result.quality.warnings), words))
-    return replace(result, quality=replace(result.quality, warnings=warnings))
-
-
-def _with_values(result: TripResult, estimate: Estimate, healthy: HealthyValues) -> TripResult:
-    """Return a result with an estimate of one row."""
-    names = estimate.names
-    values = dict(zip(names, estimate.values[0].tolist(), strict=True))
-    return replace(
-        result,
-        status=OK,
-        estimates=values,
-        raw=dict(values),
-        half_widths=dict(zip(names, estimate.half_widths[0].tolist(), strict=True)),
-        healthy_si=dict(zip(names, healthy.values.tolist(), strict=True)),
-        healthy_half_widths=dict(
-            zip(names, healthy.half_widths(estimate.level).tolist(), strict=True)
-        ),
-        flags=estimate.flags.reasons[0],
-        quality=replace(result.quality, misfit=estimate.misfit),
-    )
+        return Finding(NO_PART, words=str(parts))
+    if parts is not None and parts.lost:
+        return Finding(WITHOUT_SENSORS, names=parts.lost, listed=together(parts.lost, ", "))
+    return ""
 
 
 def _welch(model: TrainedModel) -> Welch:
     return trip_settings(model).welch
 
 
-def _with_quality(result: TripResult, recording: Recording, bins: Sequence[SeenBin]) -> TripResult:
-    """Return a result with the quality and curves of its bins.
+def _of_bins(bins: Sequence[SeenBin], recording: Recording) -> dict[str, Any]:
+    """Return what bins of speed add to the quality: averages over them, by their averages.
 
-    Bins may overlap: a segment that two models read counts once in the quality.
+    Bins may overlap: a segment that two models read counts once.
     """
-    # quality: averages over the bins, weighted by their numbers of averages
-    weights = np.array([b.spectra.n_averages for b in bins])
+    weights = np.array([one.spectra.n_averages for one in bins])
     weights = weights / weights.sum()
     coherence = sum(
-        w * b.spectra.coherences().mean(dim=1).numpy() for w, b in zip(weights, bins, strict=True)
+        weight * one.spectra.coherences().mean(dim=1).numpy()
+        for weight, one in zip(weights, bins, strict=True)
     )
-    names = bins[0].method.task.extractor.names
-    # direction and curves are those of the bin with the most averages
-    best = largest(bins)
     used = _used(bins)
-    quality = replace(
-        result.quality,
-        coherence_p=float(coherence[0]),
-        coherence_s=float(coherence[1]),
-        n_averages=sum(welch.n_averages(count) for welch, count in used.items()),
-        segments_used=sum(used.values()),
-        speed_m_per_s=float(weights @ [b.speed_m_per_s for b in bins]),
-        speed_bins=together(
-            f"{b.speed_m_per_s:.1f} m/s{' in reverse' * b.is_reverse}: "
-            f"{b.spectra.n_averages:.0f} averages"
-            for b in bins
+    n_features = len(bins[0].method.task.extractor.names)
+    return {
+        "coherence_p": float(coherence[0]),
+        "coherence_s": float(coherence[1]),
+        "n_averages": sum(welch.n_averages(count) for welch, count in used.items()),
+        "segments_used": sum(used.values()),
+        "speed_m_per_s": float(weights @ [one.speed_m_per_s for one in bins]),
+        "speed_bins": together(
+            f"{one.speed_m_per_s:.1f} m/s{' in reverse' if one.is_reverse else ''}: "
+            f"{one.spectra.n_averages:.0f} averages"
+            for one in bins
         ),
-        direction=best.method.generator.direction or recording.manifest.direction or "",
-        features_found=f"{len(names)} of {len(names)}",
-        warnings=together(dict.fromkeys(b.doubts for b in bins)),
-    )
-    return replace(result, quality=quality, curves=_curves(best, recording))
+        "direction": largest(bins).method.generator.direction or recording.manifest.direction or "",
+        "features_found": f"{n_features} of {n_features}",
+    }
 
 
 def _used(bins: Sequence[SeenBin]) -> dict[Welch, int]:
+    """Return the number of segments that any of the bins uses, by how segments are cut."""
     chosen: dict[Welch, Tensor] = {}
     for one in bins:
         welch = one.segments.welch

@@ -61,45 +61,42 @@ def find_trip_files(
     if not folder.is_dir():
         raise FileNotFoundError(f"there is no folder {folder}; give the one that holds the files")
     left_out = {path.resolve() for path in besides}
-    files = [file for file in _data_files(folder, DEEPEST) if file.resolve() not in left_out]
+    files = [file for file in _data_files(folder) if file.resolve() not in left_out]
     places = _folders_of_places({file.parent for file in files})
     by_trip: dict[Path, list[Path]] = {}
     for file in sorted(files, key=lambda path: natural(str(path))):
         by_trip.setdefault(_trip_of(file, folder, loggers, places), []).append(file)
     if not by_trip:
-        endings = ", ".join(sorted(READERS))
-        others = unread_files(folder) or [f"they end with {endings}"]
+        others = unread_files(folder) or [f"they end with {', '.join(sorted(READERS))}"]
         raise FileNotFoundError(f"{folder} holds no data file; {'; '.join(others)}")
     trips = list(by_trip)
     # a folder with manifests of its own hides those of its subfolders
     if any(trip.parent == folder for trip in trips):
         trips = [folder / "_".join(trip.relative_to(folder).parts) for trip in trips]
-    short = (trip.with_name(shortened(trip.name, MOST_NAME_BYTES)) for trip in trips)
-    names = distinct(map(str, short))
+    names = distinct(str(trip.with_name(shortened(trip.name, MOST_NAME_BYTES))) for trip in trips)
     return [
-        TripFiles(Path(f"{name}.yaml"), tuple(files))
-        for name, files in zip(names, by_trip.values(), strict=True)
+        TripFiles(Path(f"{name}.yaml"), tuple(own))
+        for name, own in zip(names, by_trip.values(), strict=True)
     ]
 
 
 def unread_files(folder: Path) -> list[str]:
     """Return a line on the data files in a folder that are not read, and one on deep folders."""
-    by_type: dict[str, list[Path]] = {}
+    by_type: dict[str, list[str]] = {}
     for path in sorted(_files(folder, DEEPEST), key=lambda path: natural(str(path))):
         suffix = "/" if path.is_dir() else path.suffix.lower()
         if suffix not in NO_DATA and not (suffix in READERS and path.is_file()):
-            by_type.setdefault(suffix, []).append(path)
-    too_deep = by_type.pop("/", [])
+            by_type.setdefault(suffix, []).append(str(path))
+    too_deep = ", ".join(by_type.pop("/", []))
     lines = []
     if by_type:
-        names = [f"{one[0]} and {len(one) - 1} more" for one in by_type.values()]
-        files = ", ".join(names).replace(" and 0 more", "")
+        files = ", ".join(
+            f"{first} and {len(more)} more" if more else first for first, *more in by_type.values()
+        )
         lines.append(f"not read: {files}; export them to one of {', '.join(sorted(READERS))}")
     if too_deep:
-        deep = ", ".join(map(str, too_deep))
-        lines.append(
-            f"not searched: {deep}: below {DEEPEST} levels of folders, give each by itself"
-        )
+        levels = f"below {DEEPEST} levels of folders, give each by itself"
+        lines.append(f"not searched: {too_deep}: {levels}")
     return lines
 
 
@@ -109,7 +106,7 @@ def find_tables(folder: Path) -> list[Path]:
     Such a table has a column of ``FILE_NAMES`` that names another data file of the folder, or a
     trip. OSError is raised if a folder cannot be read.
     """
-    files = sorted(_data_files(folder, DEEPEST)) if folder.is_dir() else []
+    files = sorted(_data_files(folder)) if folder.is_dir() else []
     names = {file: {_trip_of(file, folder).name, *names_of([file], folder)} for file in files}
     n_files = Counter(name for own in names.values() for name in own)
     return [
@@ -164,10 +161,9 @@ def cell_of(name: str) -> str:
     return f"./{name}" if name.startswith(("=", "+", "-", "@")) else name
 
 
-def _data_files(folder: Path, depth: int) -> Iterable[Path]:
-    for path in _files(folder, depth):
-        if path.suffix.lower() in READERS and path.is_file():
-            yield path
+def _data_files(folder: Path) -> list[Path]:
+    paths = _files(folder, DEEPEST)
+    return [path for path in paths if path.suffix.lower() in READERS and path.is_file()]
 
 
 def _files(folder: Path, depth: int) -> Iterable[Path]:
@@ -200,9 +196,9 @@ def _trip_of(
 def _folders_of_places(folders: Iterable[Path]) -> set[Path]:
     """Return the folders that are named by nothing but places, of several channels."""
     by_parent: dict[Path, dict[Path, str]] = {}
-    for one in folders:
-        if not _without_places(one.name):
-            by_parent.setdefault(one.parent, {})[one] = guessed_meaning(one.name)
+    for folder in folders:
+        if not _without_places(folder.name):
+            by_parent.setdefault(folder.parent, {})[folder] = guessed_meaning(folder.name)
     several = (own for own in by_parent.values() if len(set(own.values()) & set(CHANNELS)) > 1)
     return {folder for own in several for folder in own}
 

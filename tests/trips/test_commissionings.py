@@ -17,7 +17,6 @@ from suspnet.dynamics.quantities import LogNormal
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import DEFAULT_LIMITS
-from suspnet.ground.records import Commissioning
 from suspnet.maintenance.relative import relative_to_first_healthy
 from suspnet.maintenance.series import series_of
 from suspnet.report.maintenance_figures import health_trend
@@ -32,7 +31,6 @@ from suspnet.trips.commissionings import (
 )
 from suspnet.trips.details import healthy_words
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet
-from suspnet.trips.trip import evaluate_trip
 
 ANEW_KM = 195_000.0
 NEW_DAMPER = 1.25
@@ -66,14 +64,10 @@ def read_with(models):
 
 
 @pytest.mark.parametrize(
-    ("km", "first"), [(0.0, 1e4), (1e4, 1e4), (194_999.0, 1e4), (ANEW_KM, ANEW_KM), (9e5, ANEW_KM)]
+    ("km", "first"), [(0.0, 1e4), (194_999.0, 1e4), (ANEW_KM, ANEW_KM), (math.nan, ANEW_KM)]
 )
 def test_trip_is_read_with_the_latest_commissioning_that_begins_before_it(both, km, first):
     assert [since_km(model) for model in models_at(both, km)] == [first]
-
-
-def test_trip_without_a_mileage_is_read_with_the_last(both):
-    assert models_at(both, math.nan) == [both[0]]
 
 
 def test_trips_of_two_commissionings_compare_in_si_units(both):
@@ -87,14 +81,14 @@ def test_trips_of_two_commissionings_compare_in_si_units(both):
         assert compared.estimates["c_s"] == pytest.approx(trip.si("c_s")[0] / first)
         assert compared.estimates["k_p"] == pytest.approx(trip.estimates["k_p"])
         assert compared.half_widths == trip.half_widths
-
-
-def test_limits_and_tests_are_about_the_trips_since_the_last(both):
-    results = read_with(both)
+    # limits and tests use the trips since the last
+    last = [r.trip for r in results if r.mileage_km >= ANEW_KM]
     whole = series_of(results)
-    assert whole.trip[whole.of_newest_reference].tolist() == [
-        r.trip for r in results if r.mileage_km >= ANEW_KM
-    ]
+    assert whole.trip[whole.of_newest_reference].tolist() == last
+    # one commissioning is as none
+    results = read_with(both[:1])
+    assert commissionings(both[:1], results) == []
+    assert series_of(results).of_newest_reference.all()
 
 
 def test_truth_is_relative_to_the_healthy_trips_of_each():
@@ -156,15 +150,6 @@ def test_figure_marks_where_it_was_commissioned_anew(both):
 # limit
 
 
-def test_one_commissioning_is_as_none(both):
-    results = read_with(both[:1])
-    assert commissionings(both[:1], results) == []
-    assert series_of(results).of_newest_reference.all()
-    assert [r.estimates for r in relative_to_first_healthy(results, [])] == [
-        r.estimates for r in results
-    ]
-
-
 def test_nominal_models_are_one_era():
     model = model_at()
     assert eras([model]) == [[model]]
@@ -173,39 +158,18 @@ def test_nominal_models_are_one_era():
     assert healthy_words(model) == "the vehicle file's drawing"
 
 
-def test_words_of_a_commissioning():
-    one = Commissioning(250_000.0, {}, {"k_p": 0.998, "M_s": 1.0}, ())
-    assert one.words == "from 250 000 km on healthy is k_p 99.8 % of the first commissioning"
-
-
 # failure
 
 
-def test_nominal_and_commissioned_runs_do_not_mix(both, manifests):
+def test_runs_that_do_not_fit_together_are_refused(both):
+    assert check_models(both) == OUTPUTS
     with pytest.raises(ModelFileError, match="one run is commissioned and another is not"):
         check_models([*both, model_at()])
-
-
-def test_two_models_of_one_commissioning_share_no_speed(both):
-    with pytest.raises(ModelFileError, match="two models are for the same speed"):
+    with pytest.raises(ModelFileError, match=r"same speed \(64.4 to 75.6 m/s\)"):
         check_models([*both, both[0]])
-    assert check_models(both) == OUTPUTS
-
-
-def test_runs_of_other_vehicles_do_not_mix(both):
-    other = replace(both[0].generator, vehicle=replace(AM96, name="other"))
-    with pytest.raises(ModelFileError, match="must share vehicle and outputs"):
-        check_models([both[1], replace(both[0], generator=other)])
 
 
 def test_first_trips_are_healthy_of_one_commissioning_only(both, manifests, tmp_path):
     settings = FleetSettings(TripSettings(), reference="first_trips")
     with pytest.raises(ValueError, match="run= names several commissionings"):
         evaluate_fleet(manifests[0].parent, both, tmp_path, settings, progress=False)
-
-
-def test_failed_trip_knows_its_healthy_state(both, manifests, tmp_path):
-    path = changed(manifests[0], tmp_path, "slow", mileage_km=3e5, speed=20.0)
-    found = evaluate_trip(path, both, TripSettings())
-    assert found.status == "no estimate"
-    assert found.healthy_since_km == ANEW_KM

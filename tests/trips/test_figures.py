@@ -1,14 +1,61 @@
-"""Figures of trips can be drawn, whatever is missing, and show what they should."""
+"""Figures of trips show what they should, with intervals and flags, whatever is missing."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from trip_records import OUTPUTS, curves, fleet, trend_of, trip
+from trip_records import HALF_WIDTHS, OUTPUTS, curves, flagged, fleet, trend_of, trip
 
+from suspnet.maintenance import Alarm, Cause, Life, Severity
 from suspnet.report import trend, trip_figures
-from suspnet.report.maintenance_figures import health_trend
+from suspnet.report.maintenance_figures import AHEAD, health_trend
+from suspnet.report.trend import LEAST_SPAN_PERCENT
+
+FEW = OUTPUTS[:2]
+MISSING = "trip without an estimate"
+FLAGGED, BEYOND, INTERVAL = "flagged: see the table", "beyond the axis", "its 90 % interval"
+
+
+def made(results, outputs=FEW, **options):
+    """Return a figure's panels."""
+    return health_trend(trend_of(results, outputs, **options)).axes
+
+
+def drawn(results, outputs=FEW, **options):
+    """Return a figure's panels, drawn (a warning is an error), which takes longest."""
+    axes = made(results, outputs, **options)
+    FigureCanvasAgg(axes[0].figure).draw()
+    return axes
+
+
+def labels(axis):
+    return [line.get_label() for line in (*axis.lines, *axis.collections)]
+
+
+def points(axis, label):
+    """Return the x and y values of all lines with a label, in ascending order of x."""
+    found = [line.get_xydata() for line in axis.lines if line.get_label() == label]
+    rows = np.concatenate(found) if found else np.zeros((0, 2))
+    return rows[np.argsort(rows[:, 0])].T
+
+
+def bars(axis, label=INTERVAL):
+    """Return place, lower and upper end of each interval, (n, 3)."""
+    (found,) = [part for part in axis.collections if part.get_label() == label]
+    return np.array([[x, low, high] for (x, low), (_, high) in found.get_segments()])
+
+
+def measured(n=12, missing=()):
+    """Return a fleet's trips with intervals."""
+    trips = fleet(n, missing)
+    return [replace(r, half_widths=HALF_WIDTHS) if r.estimates else r for r in trips]
+
+
+def legend(axis):
+    (found,) = axis.figure.legends
+    return [text.get_text() for text in found.get_texts()]
 
 
 def draw(figure):
@@ -21,10 +68,7 @@ def texts(figure):
     return [text.get_text() for axis in figure.axes for text in axis.texts]
 
 
-def labelled(axis, label):
-    """Return the x and y values of the only line with a label."""
-    (line,) = [line for line in axis.lines if line.get_label() == label]
-    return np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
+# reference
 
 
 def test_running_median_agrees_with_a_loop():
@@ -44,30 +88,21 @@ def test_health_trend_shows_percent_of_healthy_over_thousands_of_km():
     assert len(figure.axes) == len(OUTPUTS)
     known = [r for r in trips if r.status == "ok"]
     for axis, name in zip(figure.axes, OUTPUTS, strict=True):
-        x, y = labelled(axis, "trip")
+        x, y = points(axis, "trip")
         np.testing.assert_allclose(x, [r.mileage_km / 1000 for r in known])
         np.testing.assert_allclose(y, [100 * r.estimates[name] for r in known])
-        np.testing.assert_allclose(labelled(axis, "trip without an estimate")[0], [40.0])
+        np.testing.assert_allclose(points(axis, MISSING)[0], [40.0])
         low, high = axis.get_ylim()
-        assert high - low >= trend.LEAST_SPAN_PERCENT
+        assert high - low >= LEAST_SPAN_PERCENT
     assert figure.axes[-1].get_xlabel() == "mileage [1000 km]"
-
-
-def test_health_trend_shows_the_truth_only_where_it_is_known():
-    trips = [replace(r, truth={"k_p": 0.9} if i < 4 else {}) for i, r in enumerate(fleet(6, ()))]
-    figure = health_trend(trend_of(trips, ("k_p", "c_p")))
-    x, y = labelled(figure.axes[0], "truth (simulated)")
-    np.testing.assert_allclose(x, [10, 20, 30, 40])
-    np.testing.assert_allclose(y, 90.0)
-    assert "truth (simulated)" not in [line.get_label() for line in figure.axes[1].lines]
 
 
 def test_a_parameter_missing_from_one_trip_is_marked_in_its_panel_alone():
     trips = fleet(5, ())
     trips[2] = replace(trips[2], estimates=trips[2].estimates | {"c_p": np.nan})
     figure = health_trend(trend_of(trips, ("k_p", "c_p")))
-    assert "trip without an estimate" not in [line.get_label() for line in figure.axes[0].lines]
-    np.testing.assert_allclose(labelled(figure.axes[1], "trip without an estimate")[0], [30.0])
+    assert MISSING not in [line.get_label() for line in figure.axes[0].lines]
+    np.testing.assert_allclose(points(figure.axes[1], MISSING)[0], [30.0])
 
 
 def test_trip_signals_shows_kilometres_per_hour_and_the_time_in_minutes():
@@ -160,13 +195,127 @@ def test_gaps_in_every_curve_can_be_drawn():
         draw(figure)
 
 
-def test_constant_speed_is_drawn_below_the_frame():
-    seen = curves()
-    seen.overview_speed[:] = 64.0
-    axis = trip_figures.trip_signals(trip(0, curves=seen)).axes[3]
-    assert axis.get_ylim() == pytest.approx((0, 1.1 * 3.6 * 64.0))
-
-
 def test_a_trip_that_failed_before_it_was_read_can_be_drawn():
-    for figure in whole([replace(failed(), mileage_km=np.nan)]):
-        draw(figure)
+    assert len(whole([replace(failed(), mileage_km=np.nan)])) == 4
+
+
+# intervals and flags
+
+
+def test_bars_are_the_intervals_in_percent():
+    trips = measured(missing=(3,))
+    known = [r for r in trips if r.estimates]
+    for axis, name in zip(made(trips[::-1], OUTPUTS), OUTPUTS, strict=True):
+        expected = [[r.mileage_km / 1000, *(100 * v for v in r.interval(name))] for r in known]
+        np.testing.assert_allclose(bars(axis), expected)
+        low, high = axis.get_ylim()
+        assert low < np.min(expected, axis=0)[1]
+        assert high > np.max(expected, axis=0)[2]
+
+
+def test_flagged_trips_are_hollow_and_without_interval():
+    trips = measured()
+    trips[2] = flagged(trips[2])
+    for axis, name in zip(drawn(trips), FEW, strict=True):
+        np.testing.assert_allclose(
+            points(axis, FLAGGED)[:, 0], [30.0, 100 * trips[2].estimates[name]]
+        )
+        (hollow,) = [line for line in axis.lines if line.get_label() == FLAGGED]
+        assert hollow.get_markerfacecolor() == "none"
+        assert 30.0 not in points(axis, "trip")[0]
+        assert len(points(axis, "trip")[0]) == len(bars(axis)) == 11
+        assert 30.0 not in bars(axis)[:, 0]
+        assert FLAGGED in legend(axis)
+
+
+# limit: what the axis holds
+
+
+@pytest.mark.parametrize(
+    ("value", "edge", "words", "place"), [(0.27, 0, "27 %", 0), (2.5, 1, "250 %", 11)]
+)
+def test_a_single_odd_trip_does_not_spoil_the_axis(value, edge, words, place):
+    trips = measured()
+    usual = made(trips)[0].get_ylim()
+    trips[place] = flagged(trips[place], k_p=value)
+    axis, other = made(trips)[:2]
+    assert np.ptp(axis.get_ylim()) < 1.5 * np.ptp(usual)
+    np.testing.assert_allclose(points(axis, BEYOND)[:, 0], [10.0 * (place + 1), edge])
+    assert [text.get_text() for text in axis.texts] == [words]
+    assert BEYOND not in labels(other)
+    assert BEYOND in legend(axis)
+
+
+def test_a_lasting_change_stays_on_the_axis_though_flagged():
+    """A damper that has failed is out of the range trained for from then on."""
+    trips = [replace(trip(i), half_widths=HALF_WIDTHS) for i in range(9)]
+    trips += [flagged(trip(i), c_s=0.3) for i in range(9, 12)]
+    (axis,) = drawn(trips, ("c_s",))
+    assert axis.get_ylim()[0] < 30
+    assert BEYOND not in labels(axis)
+
+
+def test_all_flagged_are_all_shown():
+    trips = measured(missing=(4,))
+    trips = [flagged(r, k_p=0.2 + 0.1 * i) if r.estimates else r for i, r in enumerate(trips)]
+    axis = made(trips)[0]
+    assert "trip" not in labels(axis)
+    assert BEYOND not in labels(axis)
+    assert axis.get_ylim()[0] < 20
+    assert axis.get_ylim()[1] > 130
+    assert len(points(axis, FLAGGED)[0]) == 11
+
+
+def test_levels_that_no_suspension_has_are_beyond_the_axis():
+    trips = [flagged(r, k_p=1.4e5 if i < 3 else 0.85) for i, r in enumerate(measured())]
+    axis = made(trips)[0]
+    assert 85 < axis.get_ylim()[1] < 2000
+    assert [text.get_text() for text in axis.texts] == ["over 1000 %"] * 3
+    assert len(points(axis, BEYOND)[0]) == 3
+
+
+# failure
+
+
+@pytest.mark.parametrize("half", [np.nan, np.inf])
+def test_unknown_intervals_are_left_out(half):
+    trips = measured()
+    trips[5] = replace(trips[5], half_widths=dict.fromkeys(OUTPUTS, half))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        axis = drawn(trips)[0]
+    assert 60.0 not in bars(axis)[:, 0]
+    assert 60.0 in points(axis, "trip")[0]
+
+
+# alarms and remaining life
+
+
+def test_alarm_is_marked_where_it_began():
+    alarms = [Alarm("k_p", Cause.CHANGE, Severity.NOTICE, 5e4)]
+    axes = drawn(measured(), alarms=alarms)
+    assert points(axes[0], "notice: start of an alarm").T.tolist() == [[50.0, 1.0]]
+    assert "notice: start of an alarm" not in labels(axes[1])
+
+
+def test_crossing_ahead_makes_room_for_itself():
+    """Of three lives one is near, one has no end in sight, one is over."""
+    trips = measured()
+    last = max(r.mileage_km for r in trips)
+    span = last - min(r.mileage_km for r in trips)
+    near = Life("linear", np.linspace(0.1, 2.0, 101) * span)
+    lives = {
+        "k_p": near,
+        "c_p": Life("no trend", np.full(3, np.inf)),
+        "k_s": Life("x", np.zeros(1)),
+    }
+    axes = made(trips, OUTPUTS[:3], lives=lives)
+    begin, end = points(axes[0], "act limit will be passed (80 %)")[0]
+    assert begin == pytest.approx((last + near.interval_km()[0]) / 1000)
+    assert end == pytest.approx((last + AHEAD * span) / 1000)
+    assert axes[0].get_xlim()[1] == pytest.approx(end)
+    for axis in axes[1:]:
+        assert "act limit will be passed (80 %)" not in labels(axis)
+    # far away, nothing is drawn
+    far = made(trips, FEW, lives={"k_p": Life("linear", np.array([9e6]))})
+    assert far[0].get_xlim()[1] < last / 1000 + 0.1 * span / 1000

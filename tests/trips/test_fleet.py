@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 from cli_runner import blank_figures
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-from trip_fixtures import OUTPUTS, changed, recalled_trip, signal, slow_model
+from trip_fixtures import OUTPUTS, changed, recalled_trip, signal
 from trip_records import fleet as made_up
 
 from suspnet.estimation.fitted import ModelFileError
@@ -115,7 +115,7 @@ def test_bad_trips_are_rows_and_the_others_as_if_alone(done, alone):
 
 
 def test_dask_changes_nothing(manifests, model, alone, no_figures, tmp_path):
-    distributed = pytest.importorskip("distributed")
+    distributed = pytest.importorskip("distributed", reason="needs the extra cluster")
     options = {"n_workers": 1, "threads_per_worker": 1, "processes": False}
     with distributed.LocalCluster(**options, dashboard_address=":0") as cluster:
         settings = FleetSettings(TRIPS, cluster=cluster.scheduler_address)
@@ -123,23 +123,28 @@ def test_dask_changes_nothing(manifests, model, alone, no_figures, tmp_path):
     assert estimates(results) == estimates(alone)
 
 
-def test_errors_are_the_naive_ones(alone):
-    for name, value in errors_percent(alone, OUTPUTS).items():
-        squares = [(r.estimates[name] / r.truth[name] - 1) ** 2 for r in alone]
-        assert value == pytest.approx(100 * (sum(squares) / len(squares)) ** 0.5)
-        assert value > 0
+def test_errors_and_coverage_are_the_naive_ones(alone):
+    held = coverage_percent(alone, OUTPUTS)
+    for name, error in errors_percent(alone, OUTPUTS).items():
+        ratios = np.array([r.estimates[name] / r.truth[name] for r in alone])
+        assert error == pytest.approx(100 * np.sqrt(np.mean((ratios - 1) ** 2)))
+        assert error > 0
+        inside = np.abs(np.log(ratios)) <= [r.half_widths[name] for r in alone]
+        assert held[name] == pytest.approx(100 * np.mean(inside))
 
 
-def test_errors_are_of_trips_with_an_estimate_and_a_known_truth(alone):
+def test_errors_and_coverage_are_of_trips_with_an_estimate_and_a_known_truth(alone):
     unknown = [
         replace(alone[0], truth={}),
-        replace(alone[1], truth={"k_p": 1.0}),
+        replace(alone[1], truth={"k_p": 1.0}, half_widths={}),
         replace(alone[2], status="error", estimates={}),
     ]
-    both = [unknown[1], alone[3]]
-    assert errors_percent(unknown, OUTPUTS) == errors_percent([unknown[1]], ("k_p",))
-    found = errors_percent([*unknown, alone[3]], OUTPUTS)
-    assert found == errors_percent([alone[3]], OUTPUTS) | errors_percent(both, ("k_p",))
+    partly = [unknown[1], alone[3]]
+    expected = errors_percent([alone[3]], OUTPUTS) | errors_percent(partly, ("k_p",))
+    assert errors_percent([*unknown, alone[3]], OUTPUTS) == expected
+    assert coverage_percent(unknown, OUTPUTS) == {}
+    found = coverage_percent([*unknown, alone[3]], OUTPUTS)
+    assert found == coverage_percent([alone[3]], OUTPUTS)
 
 
 # going on
@@ -162,28 +167,25 @@ def three(manifests, tmp_path):
     return copied(manifests, tmp_path / "trips", "abc")
 
 
-def test_finished_trips_are_not_read_again(
+def test_manifests_are_read_once_and_finished_trips_not_again(
     three, model, no_figures, recalled, monkeypatch, tmp_path
 ):
+    seen = []
+
+    def noted(path, *most):
+        seen.append(path)
+        return read_plain(path, *most)
+
+    monkeypatch.setattr(manifest_files, "read_plain", noted)
     first = read(three, [model], tmp_path / "out")
+    assert [r.status for r in first] == ["ok"] * 3
+    assert len(seen) == len(set(seen)) == 3
     monkeypatch.setattr(fleet, "evaluate_trip", unread)
     again = read(three, [model], tmp_path / "out")
     assert [repr(r.row(OUTPUTS)) for r in again] == [repr(r.row(OUTPUTS)) for r in first]
     for one, other in zip(first, again, strict=True):
         for name, values in vars(one.curves).items():
             np.testing.assert_array_equal(values, getattr(other.curves, name))
-
-
-def test_each_manifest_is_read_once(three, model, no_figures, recalled, monkeypatch, tmp_path):
-    seen = []
-    monkeypatch.setattr(
-        manifest_files,
-        "read_plain",
-        lambda path, *most: seen.append(path) or read_plain(path, *most),
-    )
-    found = read(three, [model], tmp_path / "out")
-    assert [r.status for r in found] == ["ok"] * 3
-    assert len(seen) == len(set(seen)) == 3
 
 
 def test_interrupted_fleet_goes_on_and_ends_as_if_uninterrupted(
@@ -267,17 +269,14 @@ def test_responses_are_those_of_each_trip(done, alone):
     table = pq.read_table(folder / "responses.parquet").to_pydict()
     assert list(dict.fromkeys(table["trip"])) == ["d", "b", "c", "a"]
     chosen = np.array(table["trip"]) == "b"
+    columns = {name: np.array(values)[chosen] for name, values in table.items()}
     curves = alone[1].curves
     for i, link in enumerate(("p", "s")):
-        magnitude, phase, coherence, deviation = (
-            np.array(table[f"{what}_{link}"])[chosen]
-            for what in ("magnitude", "phase_rad", "coherence", "deviation")
-        )
-        response = magnitude * np.exp(1j * phase)
+        response = columns[f"magnitude_{link}"] * np.exp(1j * columns[f"phase_rad_{link}"])
         np.testing.assert_allclose(response, curves.responses[i], rtol=1e-12)
-        np.testing.assert_array_equal(coherence, curves.coherences[i])
-        np.testing.assert_array_equal(deviation, curves.deviations[i])
-    np.testing.assert_array_equal(np.array(table["frequency_hz"])[chosen], curves.frequencies_hz)
+        np.testing.assert_array_equal(columns[f"coherence_{link}"], curves.coherences[i])
+        np.testing.assert_array_equal(columns[f"deviation_{link}"], curves.deviations[i])
+    np.testing.assert_array_equal(columns["frequency_hz"], curves.frequencies_hz)
 
 
 def test_metrics_and_figures(done, broken, alone):
@@ -287,26 +286,21 @@ def test_metrics_and_figures(done, broken, alone):
     expected = errors_percent([alone[i] for i in (0, 1, 3, 4)], OUTPUTS)
     assert metrics["rms_error_percent"] == pytest.approx(expected)
     assert [one["parameter"] for one in metrics["trends"]] == list(OUTPUTS)
-    assert [one["n_trips"] for one in metrics["trends"]] == [4] * 5
-    for one in metrics["trends"]:  # four trips tell no change, but levels beyond limits
+    for one in metrics["trends"]:  # four trips show no change, but levels beyond limits
         limits, newest = DEFAULT_LIMITS.get(one["parameter"]), alone[4].estimates[one["parameter"]]
-        assert not one["changed"]
+        assert (one["n_trips"], one["changed"]) == (4, False)
         if limits and not limits.notice[0] <= newest <= limits.notice[1]:
             assert one["severity"] in ("unknown", "notice", "act")
-            assert "the last" in one["words"]
         if not limits:
             assert one["severity"] == "none"
-    assert metrics["severity"] == max(
-        (one["severity"] for one in metrics["trends"]),
-        key=["none", "unknown", "notice", "act"].index,
-    )
+    order = ["none", "unknown", "notice", "act"]
+    severities = [one["severity"] for one in metrics["trends"]]
+    assert metrics["severity"] == max(severities, key=order.index)
     details = metrics["details"]
     assert details["trips"] == str(broken)
-    assert details["model"] == "msvr, trained on 1000 curves of VerticalVehicle"
+    assert details["model"].startswith("msvr, trained on 1000 curves")
     assert details["speeds"] == "64.4 to 75.6 m/s"
-    assert details["transfer functions"] == "IV, hann windows of 20 s"
     assert details["healthy is"] == "the vehicle file's drawing"
-    assert details["misfit of the healthy trips"].startswith("none: the vehicle is that of the")
     assert {path.stem for path in (folder / "figures").glob("*.png")} == FIGURES
 
 
@@ -338,18 +332,13 @@ def test_report_names_each_trip_and_reason(done):
 
 def test_summary_names_trips_errors_and_reasons(done):
     _, results = done
-    text = summary(results, OUTPUTS)
-    table, *reasons = text.split("\n\n")
+    table, *reasons = summary(results, OUTPUTS).split("\n\n")
     first, _, _, *lines = table.splitlines()
     assert first.startswith("4 of 7 trips have an estimate, ")
     assert [line.split("|")[1].strip() for line in lines[:-2]] == [r.trip for r in results]
     assert lines[-2].startswith("| rms error %")
     assert lines[-1].startswith("| intervals hold %")
-    assert "`" not in lines[0]
-    assert lines[2].endswith("| no estimate |")
     assert f"{results[2].trip}: {results[2].reason}" in reasons
-    first = summary(results[5:], OUTPUTS).splitlines()[0]
-    assert first == "0 of 2 trips have an estimate, 0 are flagged"
     assert "rms error" not in summary(results[5:], OUTPUTS)
 
 
@@ -384,104 +373,69 @@ def test_reference_of_the_first_trips(manifests, model, alone, no_figures, recal
     assert details["healthy is"] == "the median of the first 3 trips (k and c)"
 
 
-def test_report_is_there_where_too_few_trips_say_what_is_healthy(
-    three, model, no_figures, recalled
+@pytest.mark.parametrize(("speed", "n_known"), [(None, 3), (20.0, 0)])
+def test_report_is_written_where_too_few_trips_define_healthy(
+    three, model, no_figures, recalled, speed, n_known
 ):
+    for path in three.glob("*.yaml") if speed else ():
+        changed(path, three, path.stem, speed=speed)
     out = three.parent / "out"
     settings = FleetSettings(TRIPS, reference="first_trips", n_reference=5)
     (one,) = evaluate_fleet(three, [model], out, settings, progress=False)
-    missing = "healthy is not known yet: 3 trips have an estimate, the first 5 are needed"
     for found in one.state.assessments:
         assert found.limited == (found.parameter != "M_s")
-        assert found.words.startswith("healthy is not known yet; ") == found.limited
         assert (found.severity >= Severity.UNKNOWN) == found.limited
-    metrics = json.loads((out / "metrics.json").read_text())
-    words = metrics["details"]["healthy is"]
-    assert words.startswith(f"the median of the first 3 trips (k and c); {missing} (lower monitor")
-    assert sorted(r.estimates["k_p"] for r in one.results)[1] == 1.0
-
-
-def test_report_is_there_where_no_trip_says_what_is_healthy(three, model, no_figures, recalled):
-    for path in three.glob("*.yaml"):
-        changed(path, three, path.stem, speed=20.0)
-    out = three.parent / "out"
-    settings = FleetSettings(TRIPS, reference="first_trips", n_reference=5)
-    (one,) = evaluate_fleet(three, [model], out, settings, progress=False)
     words = json.loads((out / "metrics.json").read_text())["details"]["healthy is"]
-    assert words.startswith("healthy is not known yet: 0 trips have an estimate")
-    assert one.severity == Severity.UNKNOWN
+    assert f"{n_known} trips have an estimate" in words
+    assert words.startswith("the median of the first 3 trips") == (n_known == 3)
 
 
-def test_names_of_the_files_do_not_matter(done, broken, model, no_figures, recalled, tmp_path):
-    """The first trips are those of least mileage, here d, b and c."""
-    _, absolute = done
-    settings = FleetSettings(TRIPS, reference="first_trips", n_reference=3)
-    results = read(broken, [model], tmp_path, settings)
-    assert [r.trip for r in results] == [r.trip for r in absolute]
-    expected = sorted(r.raw["k_p"] for r in absolute if r.trip in ("d", "b", "c"))[1]
-    for before, after in zip(absolute, results, strict=True):
-        if before.status == "ok":
-            assert before.estimates["k_p"] / after.estimates["k_p"] == pytest.approx(expected)
-
-
-def test_dead_sensors_and_alarms_of_sensors_are_printed(
-    three, model, no_figures, monkeypatch, caplog
-):
-    alone = "{} and left out, bogie is read by its left sensor alone: it {}"
+def test_dead_sensors_and_alarms_of_sensors_are_printed(alone):
     constant = Finding("is-constant", value=0.0)
-    dead = [
-        Fault("bogie left", "gap", 9, 1.0, 0.0, True),
-        *dead_faults({"bogie right": NOTHING, "body axle2 right": constant}, 300.0, 100.0),
-        Fault("body", "drift", 9, 1.0, 0.0, True, 0.3),
-    ]
-
-    def half_dead(*given):
-        result = recalled_trip(*given)
-        if result.trip == "a":
-            return result
-        return replace(result, quality=replace(result.quality, faults=together(map(str, dead))))
-
-    monkeypatch.setattr(fleet, "evaluate_trip", half_dead)
-    with caplog.at_level("INFO", fleet.log.name):
-        read(three, [model], three.parent / "dead")
-    lines = caplog.messages[-1].splitlines()
-    first = lines.index(f"  notice   sensor bogie right: {alone.format('dead', NOTHING)} (in b, c)")
-    assert lines[first + 1].startswith("  notice   sensor body axle2 right: dead and left out")
-    assert lines[first + 1].endswith(f"it {constant} (in b, c)")
-    assert lines[first + 2].startswith("Alarms of changes: ")
+    dead = dead_faults({"bogie right": NOTHING, "body axle2 right": constant}, 300.0, 100.0)
+    repaired = Fault("bogie left", "gap", 9, 1.0, 0.0, True)
+    faults = together(map(str, [repaired, *dead]))
+    half_dead = [replace(r, quality=replace(r.quality, faults=faults)) for r in alone[1:3]]
     alarms = [
         Alarm("body left", Cause.SENSOR, Severity.NOTICE, 7e4, end, "sensor body left: noise")
         for end in (np.nan, 9e4)
     ]
-    (line,) = sensor_lines([], alarms)
-    assert line == "  notice   sensor body left: noise (alarm since 70 000 km)"
+    alarm, first, second = sensor_lines([alone[0], *half_dead], alarms)
+    assert alarm == "  notice   sensor body left: noise (alarm since 70 000 km)"
+    assert first.startswith("  notice   sensor bogie right: dead")
+    assert second.startswith("  notice   sensor body axle2 right: dead and left out")
+    names = f"(in {alone[1].trip}, {alone[2].trip})"
+    assert first.endswith(f"it {NOTHING} {names}")
+    assert second.endswith(f"it {constant} {names}")
 
 
-def test_change_below_what_the_model_resolves_does_not_changed_ones(model, monkeypatch):
+def test_change_below_what_the_model_resolves_does_not_count(model):
     """k_p falls by 1 %, c_s by 40 % in the made-up fleet."""
-    results = made_up(with_curves=False)
+    series = series_of(made_up(with_curves=False))
 
-    def changed_ones(*errors):
-        models = [
-            replace(one, training={"test_rms_percent": {"k_p": e, "c_s": e}} if e else {})
-            for one, e in zip((model, model), errors, strict=False)
-        ]
-        least = fleet.least_percent(OUTPUTS, models)
-        found = State(series_of(results), DEFAULT_LIMITS, least_percent=least).assessments
-        return {one.parameter for one in found if one.trend.changed}
+    def changed_with(*errors):
+        rms = [{"test_rms_percent": dict.fromkeys(OUTPUTS, error)} for error in errors]
+        least = fleet.least_percent(OUTPUTS, [replace(model, training=one) for one in rms])
+        assessments = State(series, DEFAULT_LIMITS, least_percent=least).assessments
+        return {one.parameter for one in assessments if one.trend.changed}
 
     assert LEAST_PERCENT < 0.2
-    assert changed_ones(None) == changed_ones(0.1) == {"k_p", "c_s"}
-    assert changed_ones(1.0) == changed_ones(0.1, 1.0) == changed_ones(1.0, 0.1) == {"c_s"}
-    assert changed_ones(50.0) == set()
+    assert changed_with(0.0) == changed_with(0.1) == {"k_p", "c_s"}
+    assert changed_with(1.0) == changed_with(0.1, 1.0) == changed_with(1.0, 0.1) == {"c_s"}
+    assert changed_with(50.0) == set()
 
 
 # failure
 
 
-@pytest.mark.every_value
-@pytest.mark.parametrize("place", ["write_table", "replace", "write_report"])
-@pytest.mark.parametrize("error", [OSError("disk full"), KeyboardInterrupt("stop")])
+@pytest.mark.parametrize(
+    ("place", "error"),
+    [
+        ("write_table", OSError("disk full")),
+        ("replace", KeyboardInterrupt("stop")),
+        ("write_report", KeyboardInterrupt("stop")),
+    ],
+)
 def test_interrupted_run_leaves_only_whole_files(
     manifests, model, no_figures, recalled, monkeypatch, tmp_path, place, error
 ):
@@ -510,46 +464,26 @@ def test_interrupted_run_leaves_only_whole_files(
         assert left == set()
 
 
-def test_ctrl_c_in_a_trip_ends_the_run(manifests, model, monkeypatch, tmp_path):
-    def interrupt(*_, **__):
-        raise KeyboardInterrupt("stop")
-
-    monkeypatch.setattr(fleet, "evaluate_trip", interrupt)
-    with pytest.raises(KeyboardInterrupt, match="stop"):
-        read(manifests[0].parent, [model], tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-
-
-def test_folder_without_trips_is_refused(model, tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"there is no folder .*nowhere; give the one"):
-        evaluate_fleet(tmp_path / "nowhere", [model], tmp_path, SETTINGS)
-    with pytest.raises(FileNotFoundError, match=r"holds no \*\.yaml file; each trip needs one"):
-        evaluate_fleet(tmp_path, [model], tmp_path / "out", SETTINGS)
-
-
 def test_models_that_cannot_read_trips_are_refused(model):
-    assert check_models([model]) == check_models([slow_model(), model]) == OUTPUTS
-    curves = replace(model, settings=CurveSettings())
-    with pytest.raises(ModelFileError, match=r"protocol 'trips' was trained on curves of section"):
-        check_models([model, curves])
-    known = replace(model, task=replace(model.task, mass_known=True))
-    with pytest.raises(ModelFileError, match="mass_known=true cannot read trips"):
-        check_models([known])
+    generator = model.generator
+    slower = replace(model, generator=replace(generator, speed_m_per_s=50.0))
+    assert check_models([model]) == check_models([slower, model]) == OUTPUTS
     heavy = replace(model.vehicle, bogie_mass_kg=2000.0)
-    other = replace(model, generator=replace(model.generator, vehicle=heavy))
-    fewer = replace(model, task=replace(model.task, outputs=OUTPUTS[:4]))
-    for different in (other, fewer):
-        with pytest.raises(ModelFileError, match="must share vehicle and outputs"):
-            check_models([model, model, different])
+    for changes, message in (
+        ({"settings": CurveSettings()}, r"protocol 'trips' was trained on curves of section"),
+        ({"task": replace(model.task, mass_known=True)}, "mass_known=true cannot read trips"),
+        ({"generator": replace(generator, vehicle=heavy)}, "must share vehicle and outputs"),
+        ({"task": replace(model.task, outputs=OUTPUTS[:4])}, "must share vehicle and outputs"),
+    ):
+        with pytest.raises(ModelFileError, match=message):
+            check_models([model, replace(model, **changes)])
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"reference": "x"}, "`reference` must be one of .*'vehicle', 'first_trips'.*, got 'x'"),
-        ({"workers": 0}, "`workers` must be a whole number >= 1 or null, got 0"),
         ({"workers": True}, "`workers` must be a whole number >= 1 or null, got True"),
-        ({"n_reference": 1.5}, r"`n_reference` must be a whole number >= 1, got 1\.5"),
     ],
 )
 def test_settings_are_checked(change, message):
@@ -564,77 +498,50 @@ def test_cluster_needs_dask(monkeypatch):
     assert FleetSettings(TRIPS).cluster is None
 
 
-def test_two_models_of_one_speed_are_refused(model):
-    with pytest.raises(ModelFileError, match=r"same speed \(64.4 to 75.6 m/s\);"):
-        check_models([model, replace(model)])
-
-
-def test_names_that_look_like_numbers_stay_as_they_are(alone):
-    named = [replace(alone[0], trip=name, truth={}) for name in ("1.10", "001", "1e5")]
-    lines = summary(named, OUTPUTS).splitlines()
-    assert [line.split("|")[1].strip() for line in lines[3:]] == ["1.10", "001", "1e5"]
-
-
 # intervals and flags
 
 
 def test_reasons_are_whole_in_the_summary_and_in_the_table(alone, tmp_path):
     words = "k_p at about 27 % lies outside the 50 to 160 % trained for; " * 5
-    results = [replace(alone[0], flags=words), alone[1], replace(alone[2], flags=words)]
+    why = Finding(NO_PART, words="misfit 24 times that of noise")
+    warned = replace(alone[1].quality, warnings=together(("alone", why)), faults="a is loose")
+    names = ("1.10", "001", "1e5")  # stay as they are
+    results = [
+        replace(one, trip=name, flags=flags)
+        for one, name, flags in zip(alone, names, (words, "", words), strict=False)
+    ]
     table, *reasons = summary(results, OUTPUTS).split("\n\n")
-    lines = table.splitlines()
-    assert lines[0] == "3 of 3 trips have an estimate, 2 are flagged"
-    cells = [line.rpartition("| ")[2].rstrip(" |") for line in lines[3:6]]
-    assert cells == ["flagged", "", "flagged"]
-    assert reasons == [f"{alone[0].trip}, {alone[2].trip}: {words}"]
+    first, *lines = table.splitlines()
+    assert first == "3 of 3 trips have an estimate, 2 are flagged"
+    cells = [[cell.strip() for cell in line.split("|")] for line in lines[2:5]]
+    assert [(row[1], row[-2]) for row in cells] == list(
+        zip(names, ("flagged", "", "flagged"), strict=True)
+    )
+    assert reasons == [f"1.10, 1e5: {words}"]
     write_tables(results, OUTPUTS, tmp_path)
     assert [row["flags"] for row in rows(tmp_path / "trips.csv")] == [words, "", words]
-    assert "1 is flagged" in summary(results[1:], OUTPUTS)
+    # a trip without its parts says why, and which faults it has
+    _, *reasons = summary([replace(results[1], quality=warned)], OUTPUTS).split("\n\n")
+    assert reasons == [f"001: {why}; a is loose"]
+    sound = replace(results[1], quality=replace(warned, warnings=""))
+    assert "loose" not in summary([sound], OUTPUTS)
 
 
-def test_trip_without_its_parts_says_why_and_which_faults_it_has(alone):
-    why = Finding(NO_PART, words="misfit 24 times that of noise")
-    quality = replace(
-        alone[0].quality, warnings=together(("a sensor is alone", why)), faults="a is loose"
-    )
-    _, *reasons = summary([replace(alone[0], quality=quality), alone[1]], OUTPUTS).split("\n\n")
-    assert reasons == [f"{alone[0].trip}: {why}; a is loose"]
-    read = replace(alone[0], quality=replace(quality, warnings=""))
-    assert "loose" not in summary([read], OUTPUTS)
+def test_level_and_flags_are_counted(manifests, model, no_figures, monkeypatch, tmp_path):
+    def odd(file, *_):
+        result = recalled_trip(file, [model], TRIPS)
+        return replace(result, flags="odd" if file.path == manifests[1] else "")
 
-
-def test_coverage_is_the_naive_one(alone):
-    held = coverage_percent(alone, OUTPUTS)
-    for name in OUTPUTS:
-        n = sum(
-            abs(np.log(r.estimates[name] / r.truth[name])) <= r.half_widths[name] for r in alone
-        )
-        assert held[name] == pytest.approx(100 * n / len(alone))
-    unknown = [replace(alone[0], half_widths={}), replace(alone[1], truth={})]
-    assert coverage_percent(unknown, OUTPUTS) == {}
-    assert coverage_percent([*unknown, alone[2]], OUTPUTS) == coverage_percent([alone[2]], OUTPUTS)
-
-
-def test_level_and_calibration_are_told_and_flags_counted(
-    manifests, model, no_figures, monkeypatch, tmp_path
-):
-    seen = {}
-    monkeypatch.setattr(output, "write_report", lambda *given: seen.update(level=given[2].level))
-    monkeypatch.setattr(
-        fleet,
-        "evaluate_trip",
-        lambda file, *_, **__: replace(
-            recalled_trip(file, [model], TRIPS), flags="odd" if file.path == manifests[1] else ""
-        ),
-    )
-    settings = replace(
-        SETTINGS, trips=TripSettings(level=0.95), reference="first_trips", n_reference=3
-    )
+    levels = []
+    monkeypatch.setattr(output, "write_report", lambda *given: levels.append(given[2].level))
+    monkeypatch.setattr(fleet, "evaluate_trip", odd)
+    wide = TripSettings(level=0.95)
+    settings = FleetSettings(wide, reference="first_trips", n_reference=3)
     results = read(manifests[0].parent, [model], tmp_path, settings)
     metrics = json.loads((tmp_path / "metrics.json").read_text())
     assert metrics["n_flagged"] == 1
     assert metrics["coverage_percent"] == pytest.approx(coverage_percent(results, OUTPUTS))
-    assert seen == {"level": 0.95}
+    assert levels == [0.95]
     n = len(model.intervals.conformal.scores)
     assert metrics["details"]["intervals"].startswith(f"95 %, calibrated on {n} simulated curves")
     assert metrics["details"]["healthy is"].endswith("(k and c), 1 of them flagged")

@@ -25,25 +25,27 @@ def commissioned(place, first_km=1000.0, speed=70.0):
     return replace(model, generator=generator, training=model.training | {"commissioned": notes})
 
 
-def test_place_is_that_of_the_notes_where_they_have_one():
-    assert place_of(commissioned(HERE)) == HERE
-    assert place_of(commissioned(None)) is None
-    assert place_of(model_at()) is None
-
-
 def test_models_are_those_of_the_very_place():
     here, there = commissioned(HERE), commissioned(THERE)
     faster, anew = commissioned(HERE, speed=80.0), commissioned(HERE, 9e4)
     models = [there, here, faster, anew]
     assert models_of(models, HERE) == [here, faster, anew]
     assert models_of(models, THERE) == [there]
+    assert (place_of(here), place_of(commissioned(None))) == (HERE, None)
 
 
-def test_models_of_one_place_or_none_read_any_trip_as_ever():
-    one, older = commissioned(HERE), commissioned(None, 9e4)
-    for models in ([one], [older], [one, older], [model_at()]):
+def test_models_of_one_place_or_none_read_any_trip_of_their_bogie():
+    here, older = commissioned(HERE), commissioned(None, 9e4)
+    for models in ([here], [older], [here, older], [model_at()]):
         assert models_of(models, THERE) == models
         assert models_of(models, Place()) == models
+    leading = model_at()
+    both = [leading, replace(leading, generator=replace(leading.generator, bogie="trailing"))]
+    assert models_of(both, Place("a", "trailing")) == both[1:]
+    with pytest.raises(ModelFileError, match=r"of the trailing bogie, .* generator\.bogie=trail"):
+        models_of(both[:1], Place("a", "trailing"))
+    with pytest.raises(ModelFileError, match="the models are for both bogies"):
+        models_of(both, Place("a"))
 
 
 def test_place_without_a_model_is_told_with_those_that_have_one():

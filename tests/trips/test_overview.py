@@ -10,16 +10,14 @@ import pytest
 from trip_fixtures import OUTPUTS, changed, model_at, small_fleet
 from trip_records import HALF_WIDTHS, flagged, trip
 
-from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import DEFAULT_LIMITS, Severity, kind_of
 from suspnet.ground.records import Place
 from suspnet.maintenance.series import series_of
 from suspnet.maintenance.state import State
 from suspnet.report.output import write_overview
-from suspnet.report.overview import Evaluated, finding, most_severe
+from suspnet.report.overview import Evaluated, most_severe
 from suspnet.trips import fleet
-from suspnet.trips.commissionings import models_of
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet
 
 SETTINGS = FleetSettings(TripSettings())
@@ -120,15 +118,6 @@ def test_each_suspension_has_its_model_and_the_worst_is_first(
     assert table[2]["report"] == ""
 
 
-def test_bogie_and_side_are_in_the_table_of_trips(models, made_up, no_figures, tmp_path):
-    write(tmp_path / "trips", 100, bogie="trailing", side="right")
-    (one,) = evaluate_fleet(tmp_path / "trips", models, tmp_path / "out", SETTINGS, False)
-    assert one.is_complete
-    (row,) = pq.read_table(tmp_path / "out" / "trips.parquet").to_pylist()
-    assert (row["bogie"], row["side"]) == ("trailing", "right")
-    assert not (tmp_path / "out" / "overview.csv").exists()
-
-
 def test_recordings_of_two_suspensions_in_one_folder_are_read_apart(
     models, no_figures, recalled, tmp_path
 ):
@@ -159,17 +148,6 @@ def test_recordings_of_two_suspensions_in_one_folder_are_read_apart(
 # the models
 
 
-def test_models_are_chosen_by_bogie(models):
-    assert models_of(models, Place("a", "trailing")) == models[1:]
-    assert models_of(models[:1], Place("a")) == models[:1]
-    with pytest.raises(
-        ModelFileError, match=r"of the trailing bogie, .* generator\.bogie=trailing"
-    ):
-        models_of(models[:1], Place("a", "trailing"))
-    with pytest.raises(ModelFileError, match="the models are for both bogies"):
-        models_of(models, Place("a"))
-
-
 def test_none_left_is_an_error(models, made_up, no_figures, tmp_path):
     for name in ("one", "two"):
         write(tmp_path / "trips" / name, 100, suspension=name)
@@ -191,43 +169,39 @@ def test_disk_that_is_full_is_no_fault_of_a_suspension(models, made_up, monkeypa
         evaluate_fleet(tmp_path / "trips", models, tmp_path / "out", SETTINGS, progress=False)
 
 
-def test_limits_of_the_settings_are_those_that_judge(models, made_up, no_figures, tmp_path):
-    write(tmp_path / "trips", 150)
-    for limits, severity in (
-        (DEFAULT_LIMITS, Severity.ACT),
-        ({"k_s": {"notice": [0.9, 1.1], "act": [0.5, 2.0]}}, Severity.NOTICE),
-        ({"k_s": None}, Severity.NONE),
-    ):
-        settings = FleetSettings(TripSettings(), limits=limits)
-        (one,) = evaluate_fleet(tmp_path / "trips", models[:1], tmp_path / "out", settings, False)
-        assert one.severity == severity
-
-
-def test_limits_are_the_vehicles_unless_the_settings_say_others(
-    models, made_up, no_figures, tmp_path
-):
-    write(tmp_path / "trips", 115)
-    rules = {"k_s": {"act": [0.5, 1.12], "why": "rule 7"}, "k_p": None}
-    generator = models[0].generator
-    ours = replace(generator, vehicle=replace(generator.vehicle, limits=rules))
-    model = replace(models[0], generator=ours)
-    for given, severity, why in (
+@pytest.mark.parametrize(
+    ("given", "severity", "why"),
+    [
         (None, Severity.ACT, "rule 7"),
         ({"k_s": {"act": [0.5, 2.0]}}, Severity.NOTICE, "set for this evaluation"),
-    ):
-        settings = FleetSettings(TripSettings(), limits=given)
+    ],
+)
+def test_limits_are_the_vehicles_unless_the_settings_say_others(
+    models, made_up, no_figures, tmp_path, given, severity, why
+):
+    write(tmp_path / "trips", 115, bogie="trailing", side="right")
+    rules = {"k_s": {"act": [0.5, 1.12], "why": "rule 7"}, "k_p": None}
+    generator = models[1].generator
+    ours = replace(generator, vehicle=replace(generator.vehicle, limits=rules))
+    model = replace(models[1], generator=ours)
+
+    def evaluated(limits):
+        settings = FleetSettings(TripSettings(), limits=limits)
         (one,) = evaluate_fleet(tmp_path / "trips", [model], tmp_path / "out", settings, False)
-        assert one.severity == severity
-        metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
-        assert {kind_of(name) for name in metrics["limits"]} == {"c_p", "k_s", "c_s"}
-        assert metrics["limits"]["k_s"]["notice"] == [0.9, 1.1]
-        assert metrics["limits"]["k_s"]["why"] == why
-        assert f"({why})" in metrics["details"]["limits"]
-    settings = FleetSettings(TripSettings(), limits={"k_s": {"notice": [0.9, 1.2]}})
-    with pytest.raises(
-        ValueError, match=r"`limits\.k_s`: limits `notice` .* must lie within `act`"
-    ):
-        evaluate_fleet(tmp_path / "trips", [model], tmp_path / "out", settings, False)
+        return one
+
+    one = evaluated(given)
+    assert (one.is_complete, one.severity) == (True, severity)
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert {kind_of(name) for name in metrics["limits"]} == {"c_p", "k_s", "c_s"}
+    assert metrics["limits"]["k_s"]["notice"] == [0.9, 1.1]
+    assert metrics["limits"]["k_s"]["why"] == why
+    assert f"({why})" in metrics["details"]["limits"]
+    (row,) = pq.read_table(tmp_path / "out" / "trips.parquet").to_pylist()
+    assert (row["bogie"], row["side"]) == ("trailing", "right")
+    assert not (tmp_path / "out" / "overview.csv").exists()
+    with pytest.raises(ValueError, match=r"`limits\.k_s`: limits `notice` .* within `act`"):
+        evaluated({"k_s": {"notice": [0.9, 1.2]}})
 
 
 # the page
@@ -271,8 +245,3 @@ def test_the_most_severe_part_is_named_first():
     assert said == "The most severe: damper of axle 2, left (Wagen 1, trailing bogie)."
     assert most_severe([{"severity": "unknown", "parameter": "k_p", "suspension": "a"}]) == ""
     assert most_severe([]) == ""
-
-
-@pytest.mark.parametrize(("n", "words"), [(1, "1 suspension: 1 "), (2, "2 suspensions: 2 ")])
-def test_number_of_suspensions_fits_its_noun(n, words):
-    assert finding([{"severity": "none"}] * n).startswith(words)

@@ -14,17 +14,6 @@ def write(folder, name, suspension="car 7", **where):
     return path
 
 
-def test_folder_of_one_suspension_is_one_group(tmp_path):
-    paths = [write(tmp_path, name) for name in ("b", "a")]
-    (tmp_path / "a").mkdir()  # where a trip's data lie
-    (tmp_path / "broken.yaml").write_text("<b>: [")
-    (group,) = find_groups(tmp_path)
-    assert group.folder == tmp_path
-    assert group.place == Place("car 7")
-    assert {file.path for file in group.manifests} == {*paths, tmp_path / "broken.yaml"}
-    assert group.error == ""
-
-
 def test_mixed_folder_is_split_by_suspension_bogie_and_side(tmp_path):
     write(tmp_path, "a", bogie="leading", side="left")
     write(tmp_path, "b", bogie="leading", side="right")

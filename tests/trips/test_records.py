@@ -35,6 +35,10 @@ def test_row_is_flat_and_in_order():
     assert {name: row[name] for name in asdict(Quality())} == asdict(result.quality)
     assert (row["manifest"], row["mileage_km"]) == ("trip_003.yaml", 40_000.0)
     assert all(isinstance(value, str | float | int) for value in row.values())
+    row = flagged(trip(3), k_p=0.5).row(FEW)
+    assert row["flags"] == FLAG
+    ends = (0.5 * np.exp(-0.0033), 0.5 * np.exp(0.0033))
+    assert (row["k_p_low"], row["k_p_high"]) == pytest.approx(ends)
 
 
 def test_row_of_a_failed_trip_has_the_same_columns():
@@ -45,7 +49,7 @@ def test_row_of_a_failed_trip_has_the_same_columns():
         assert all(np.isnan(failed[name + end]) for end in ("", "_raw", "_truth"))
 
 
-@pytest.mark.parametrize("n_first", [1, 2, 3, 6])
+@pytest.mark.parametrize("n_first", [1, 2, 6])
 def test_stiffness_and_damping_are_relative_to_the_median_of_the_first(n_first):
     results = made_up()
     found = relative_results(results, [], n_first)
@@ -61,28 +65,10 @@ def test_stiffness_and_damping_are_relative_to_the_median_of_the_first(n_first):
         middle = (values[(n_first - 1) // 2] + values[n_first // 2]) / 2
         reference = 1.0 if name == "M_s" else middle
         for before, after in zip(results, found, strict=True):
+            assert replace(after, estimates={}) == replace(before, estimates={})
             if before.status == "ok":
                 expected = before.raw[name] / reference
                 assert after.estimates[name] == pytest.approx(expected, rel=1e-12)
-
-
-def test_pay_load_raw_values_and_failed_trips_are_untouched():
-    results = made_up()
-    for before, after in zip(results, relative_results(results, [], 3), strict=True):
-        assert after.raw == before.raw
-        assert replace(after, estimates={}) == replace(before, estimates={})
-        if before.status == "ok":
-            assert after.estimates["M_s"] == before.estimates["M_s"]
-            assert after.estimates["c_s"] != before.estimates["c_s"]
-        else:
-            assert after.estimates == {}
-
-
-def test_order_of_the_trips_does_not_matter():
-    results = made_up()
-    straight = {r.trip: r.estimates for r in relative_results(results, [], 4)}
-    turned = {r.trip: r.estimates for r in relative_results(results[::-1], [], 4)}
-    assert straight == turned
 
 
 @pytest.mark.parametrize("n_first", [7, 30])
@@ -106,11 +92,8 @@ def test_truth_is_relative_to_the_first_trips_too():
     assert last.estimates["k_p"] == pytest.approx(0.5)
     assert last.truth["k_p"] == pytest.approx(0.5)
     assert (last.estimates["M_s"], last.truth["M_s"]) == (1.2, 1.1)
-
-
-def test_unknown_truth_stays_unknown():
-    results = [replace(trip(i), raw={"k_p": 1.0, "M_s": 1.0}, truth={}) for i in range(3)]
-    assert all(r.truth == {} for r in relative_results(results, [], 3))
+    unknown = [replace(one, truth={}) for one in results]
+    assert all(r.truth == {} for r in relative_results(unknown, [], 3))
 
 
 # intervals and flags
@@ -125,19 +108,9 @@ def test_interval_reaches_from_estimate_over_factor_to_estimate_times_factor():
         assert replace(result, half_widths={"k_p": half}).interval("k_p") == (0.0, np.inf)
 
 
-def test_row_has_the_limits_and_the_flags():
-    row = flagged(trip(3), k_p=0.5).row(FEW)
-    assert row["flags"] == FLAG
-    limits = (row["k_p_low"], row["k_p_high"])
-    assert limits == pytest.approx((0.5 * np.exp(-0.0033), 0.5 * np.exp(0.0033)))
-    assert np.isnan([trip(3).row(FEW)["k_p_low"], trip(3).row(FEW)["M_s_high"]]).all()
-
-
-@pytest.mark.representatives(1)
-@pytest.mark.parametrize("n_first", [4, 5])
-def test_interval_relative_to_the_first_trips_holds_the_truth(n_first):
+def test_interval_relative_to_the_first_trips_holds_the_truth():
     """Where the error is noise: 400 vehicles, each read at once and relative to its first trips."""
-    rng, inside, half = np.random.default_rng(0), [], 0.02 * 1.645
+    n_first, rng, inside, half = 4, np.random.default_rng(0), [], 0.02 * 1.645
     for _ in range(400):
         raw = [{"k_p": float(np.exp(0.02 * rng.normal()))} for _ in range(n_first + 1)]
         trips = [

@@ -13,7 +13,7 @@ from trip_records import FLAG, HALF_WIDTHS, OUTPUTS, flagged, fleet, trend_of, t
 
 from suspnet.ground.findings import WITHOUT_SENSORS, Finding, of, together
 from suspnet.ground.parameters import DEFAULT_LIMITS
-from suspnet.ground.records import Place, Quality
+from suspnet.ground.records import Place
 from suspnet.maintenance import Acknowledgement, Alarm, Cause, Life, Severity
 from suspnet.maintenance.alarms import Watched
 from suspnet.maintenance.series import make_series, series_of
@@ -122,28 +122,15 @@ def test_headline_and_verdicts_appear(whole):
     assert "They do not show lateral and yaw dampers" in words
 
 
-def test_numbers_are_percent_of_healthy_and_km_per_hour(whole):
-    text, _, results = whole
-    cells = re.findall(r'<td class="n">([^<]*)</td>', text)
-    assert f"{100 * results[0].estimates['k_p']:.1f}" in cells
-    assert "252" in cells
-    assert "300\N{NO-BREAK SPACE}000" in cells
-
-
 def test_nothing_is_loaded_from_elsewhere(whole):
     text, page, _ = whole
     without_images = re.sub(r"base64,[^\"]*", "", text)
     assert not re.search(r"//|@import|url\(", without_images)
     names = {name for name, _ in page.tags}
     assert not names & {"script", "link", "iframe", "object", "base", "form", "a"}
-    for image in page.named("img"):
-        assert image["src"].startswith(("data:image/svg+xml;base64,", "data:image/png;base64,"))
-
-
-def test_inlined_figures_refer_to_nothing_outside(whole):
-    _, page, _ = whole
-    sources = [image["src"].partition(",")[2] for image in page.named("img")]
-    contents = [base64.b64decode(source, validate=True) for source in sources]
+    images = [image["src"].partition(";base64,") for image in page.named("img")]
+    contents = [base64.b64decode(source, validate=True) for _, _, source in images]
+    assert {kind for kind, _, _ in images} <= {"data:image/svg+xml", "data:image/png"}
     assert len(contents) == 5
     for content in contents:
         assert content.startswith((b"<?xml", b"\x89PNG"))
@@ -151,13 +138,9 @@ def test_inlined_figures_refer_to_nothing_outside(whole):
             links = re.findall(rb'(?:href|src)="([^"]*)"', content)
             assert all(link.startswith((b"#", b"data:")) for link in links)
             assert b"<script" not in content
-
-
-def test_known_figures_come_first_and_all_have_texts(whole):
-    _, page, _ = whole
-    texts = [image["alt"] for image in page.named("img")]
-    headings = [heading for heading, _ in report.CAPTIONS.values()] + ["Extra figure"]
-    assert [text.partition(".")[0] for text in texts] == headings
+    # known figures come first, and all have texts
+    texts = [image["alt"].partition(".")[0] for image in page.named("img")]
+    assert texts == [heading for heading, _ in report.CAPTIONS.values()] + ["Extra figure"]
     assert page.text.count("How to read this:") == len(report.CAPTIONS)
 
 
@@ -190,14 +173,11 @@ def test_hostile_names_are_escaped(tmp_path):
     assert "49" not in page.named("img")[0]["alt"]
 
 
-@pytest.mark.representatives(3)
 @pytest.mark.parametrize(
     ("results", "sentence"),
     [
         ([trip()], "beyond its limits; there are too few trips to find a change"),
-        ([trip(i, missing=True) for i in range(3)], "No trip has an estimate"),
         ([], "No trip has an estimate"),
-        ([trip(i) for i in range(12)], "Nothing stands out. No parameter is beyond its limits"),
         (
             [trip(i) if i > 4 else trip(i, estimates={"k_p": 1.0}) for i in range(12)],
             "some parameters have too few trips to find a change",
@@ -212,80 +192,53 @@ def test_finding_fits_what_is_known(tmp_path, results, sentence):
 
 def test_unknown_numbers_are_dashes(tmp_path):
     failed = trip(missing=True, status="error", quality=type(trip().quality)(), start="")
-    text, page = write(tmp_path / "r.html", [replace(failed, mileage_km=np.nan)])
+    unknown = trip(1, half_widths=dict.fromkeys(OUTPUTS, np.inf))
+    results = [replace(failed, mileage_km=np.nan), unknown]
+    text, page = write(tmp_path / "r.html", results)
     assert "error: only 0 averages" in page.text
-    assert "Mileage unknown" in page.text
     assert '<td class="n">\N{EN DASH}</td>' in text
+    assert re.findall("<small>(.*?)</small>", text) == ["too few trips (1 of 5)"] * 4
+    assert not {"nan", "inf"} & set(page.text.lower().split())
 
 
 def measured(n=12, **options):
     return [replace(trip(i, **options), half_widths=HALF_WIDTHS) for i in range(n)]
 
 
-def test_estimates_have_their_half_widths_in_small_print(tmp_path):
-    results = measured()
-    text, _ = write(tmp_path / "r.html", results)
-    cells = re.findall(r'<td class="n">([^<]*)<small> ± ([^<]*)</small></td>', text)
-    assert len(cells) == len(results) * len(OUTPUTS)
-    for result, row in zip(results, np.reshape(cells, (-1, len(OUTPUTS), 2)), strict=True):
-        for name, (value, half) in zip(OUTPUTS, row, strict=True):
-            low, high = result.interval(name)
-            assert float(value) == pytest.approx(100 * result.estimates[name], abs=0.051)
-            assert float(half) == pytest.approx(50 * (high - low), abs=0.051)
-
-
-@pytest.mark.representatives(2)
-@pytest.mark.parametrize(
-    ("half", "shown"), [(0.3, "30.5"), (0.003, "0.3"), (0.0003, "0.03"), (0.00003, "0.003")]
-)
+@pytest.mark.parametrize(("half", "shown"), [(0.3, "30.5"), (0.0003, "0.03")])
 def test_estimates_have_as_many_digits_as_their_half_widths(tmp_path, half, shown):
-    result = trip(estimates=dict.fromkeys(OUTPUTS, 1.0), half_widths=dict.fromkeys(OUTPUTS, half))
-    text, _ = write(tmp_path / "r.html", [result])
+    si = {"healthy_si": {"k_p": 1.3e6}, "healthy_half_widths": {"k_p": 0.02}}
+    given = {"estimates": dict.fromkeys(OUTPUTS, 1.0), "half_widths": dict.fromkeys(OUTPUTS, half)}
+    text, page = write(tmp_path / "r.html", [trip(**given, **si)], level=0.95)
     digits = len(shown.partition(".")[2])
-    assert f"{100:.{digits}f}<small> ± {shown}</small>" in text
+    assert text.count(f"{100:.{digits}f}<small> ± {shown}</small>") == 2 * len(
+        OUTPUTS
+    )  # also for a phone
+    assert "1300 kN/m ± 2 %" in page.text
+    assert "100 % is: ± half of its 95 % interval." in page.text
 
 
-def test_flagged_trips_are_told_with_their_reasons(tmp_path):
-    results = measured()
-    results[3] = flagged(results[3], k_p=0.27)
-    results[7] = flagged(results[7])
-    text, page = write(tmp_path / "r.html", results, {"trend": small_figure()})
-    assert "2 of 12 trips are flagged, see the table; " in page.text
-    assert "12, of which 12 with an estimate, 2 of these flagged" in page.text
-    assert page.named("div")[0]["class"] == "result plain"  # else it would be good
-    assert [a.get("class") for a in page.named("tr")].count("flagged") == 2
-    assert [a.get("class") for a in page.named("li")].count("flagged") == 2  # on a phone
-    assert page.text.count(f"⚑ {FLAG}") == 2
-    row = text[text.index("trip_003") : text.index("trip_004")]
-    assert "27.0</td>" in row  # without an interval
-    assert "±" not in row
-    assert "Violet ones are flagged" in page.text
-    assert "A hollow circle is a flagged trip" in page.text
-
-
-def test_a_level_that_no_suspension_has_is_no_number_in_the_table(tmp_path):
+@pytest.mark.parametrize("n_flagged", [1, 2, 12])
+def test_flagged_trips_are_told_with_their_reasons(tmp_path, n_flagged):
     results = measured()
     results[3] = flagged(results[3], k_p=1.4e5)
-    text, _ = write(tmp_path / "r.html", results)
+    for i in [i for i in range(12) if i != 3][: n_flagged - 1]:
+        results[i] = flagged(results[i])
+    text, page = write(tmp_path / "r.html", results, {"trend": small_figure()})
+    count = {1: "1 of 12 trips is flagged", 2: "2 of 12 trips are flagged"}
+    assert count.get(n_flagged, "All 12 trips are flagged") in page.text
+    assert f"12, of which 12 with an estimate, {n_flagged} of these flagged" in page.text
+    assert page.named("div")[0]["class"] == "result plain"  # else it would be good
+    for tag in ("tr", "li"):  # the second is shown on a phone
+        assert [a.get("class") for a in page.named(tag)].count("flagged") == n_flagged
+    assert page.text.count(f"⚑ {FLAG}") == n_flagged
     row = text[text.index("trip_003") : text.index("trip_004")]
-    assert "over 1000</td>" in row
-    assert "14000000" not in row
-
-
-@pytest.mark.parametrize(
-    ("n", "sentence"),
-    [
-        (1, "1 of 6 trips is flagged, see the table; "),
-        (
-            6,
-            "All 6 trips are flagged, so their numbers may be further off than the intervals say; ",
-        ),
-    ],
-)
-def test_sentence_on_flags_is_grammatical(tmp_path, n, sentence):
-    results = [flagged(r) if i < n else r for i, r in enumerate(measured(6))]
-    _, page = write(tmp_path / "r.html", [*results, trip(7, missing=True)])
-    assert sentence in page.text
+    assert "over 1000</td>" in row  # without an interval, and no number that no suspension has
+    assert "±" not in row
+    assert "A hollow circle is a flagged trip" in page.text
+    # one sentence for all parameters is written once above and once in the table
+    assert page.text.count("not judged, as all trips are flagged") == 2 * (n_flagged == 12)
+    assert (page.text.count("as above") >= 3) == (n_flagged == 12)
 
 
 def test_trips_without_an_estimate_are_told_with_their_reasons(tmp_path):
@@ -308,38 +261,8 @@ def test_page_speaks_of_intervals_and_flags_only_where_there_are_some(tmp_path):
     for words in ("95 % interval", "on 95 of 100 trips", "± is half of their 95 % interval"):
         assert words not in plain.text
         assert words in known.text
-    assert "Interval, ±" not in plain.text
     for page in (plain, known):
-        assert "flagged:" not in page.text
-        assert "violet" not in page.text
-        assert "hollow circle" not in page.text
-
-
-@pytest.mark.parametrize("half", [np.nan, np.inf])
-def test_unknown_half_widths_are_left_out(tmp_path, half):
-    results = [trip(half_widths=dict.fromkeys(OUTPUTS, half))]
-    text, page = write(tmp_path / "r.html", results)
-    assert re.findall("<small>(.*?)</small>", text) == ["too few trips (1 of 5)"] * 4
-    assert not {"nan", "inf"} & set(page.text.lower().split())
-
-
-def test_large_figures_are_embedded_as_png(tmp_path):
-    figure = Figure()
-    figure.subplots().scatter(*np.random.default_rng(0).normal(size=(2, 6000)))
-    _, page = write(tmp_path / "r.html", [trip()], {"large": figure})
-    assert page.named("img")[0]["src"].startswith("data:image/png;base64,")
-
-
-def test_same_results_give_the_same_file(tmp_path):
-    first, _ = write(tmp_path / "a.html", [trip()], {"trend": small_figure()})
-    second, _ = write(tmp_path / "b.html", [trip()], {"trend": small_figure()})
-    assert first == second
-
-
-def test_a_folder_that_is_a_file_is_reported(tmp_path):
-    (tmp_path / "taken").write_text("")
-    with pytest.raises(OSError, match="taken"):
-        write(tmp_path / "taken" / "report.html", [trip()])
+        assert not any(word in page.text for word in ("flagged:", "violet", "hollow circle"))
 
 
 @pytest.mark.representatives(2)
@@ -374,14 +297,14 @@ def test_first_sentence_names_three_findings_and_counts_the_others(tmp_path):
     assert report.named_first(state_of(measured()).assessments, []) == ""
 
 
-def test_dead_sensor_is_named_at_the_top(tmp_path):
+def with_faults(result, faults, **changes):
+    return replace(result, quality=replace(result.quality, faults=faults, **changes))
+
+
+def test_dead_and_failing_sensors_are_named(tmp_path):
     reason = Finding("is-constant", value=0.0)
-    alone = Finding("dead-read-alone", place="bogie", side="left", reason=reason)
-    dead = of("bogie right", alone)
-    results = [
-        replace(r, quality=replace(r.quality, faults=dead if i > 9 else ""))
-        for i, r in enumerate(measured())
-    ]
+    dead = of("bogie right", Finding("dead-read-alone", place="bogie", side="left", reason=reason))
+    results = [with_faults(r, dead if i > 9 else "") for i, r in enumerate(measured())]
     _, page = write(tmp_path / "r.html", results)
     assert "Sensors: dead and left out: bogie frame, right (on 2 of 12 trips)" in page.text
     assert page.named("div")[0]["class"] != "result good"
@@ -389,36 +312,17 @@ def test_dead_sensor_is_named_at_the_top(tmp_path):
     assert row["sensors"] == "dead and left out: bogie right (on 2 of 12 trips)"
     repaired = [*results, replace(results[0], mileage_km=1e6)]
     assert dead_words(repaired) == ""
-    assert (
-        failing_words(repaired) == "dead, loose or not used: bogie right (on 2 of the last 5 trips)"
-    )
+    assert "bogie right (on 2 of the last 5 trips)" in failing_words(repaired)
     assert failing_words([*repaired, *repaired[-1:] * 4]) == ""
-
-
-def test_sensors_that_parts_are_read_without_are_named_once():
+    # sensors that parts are read without are named once
     loose = of("bogie right", Finding("loose", stretches=Finding("from-on", first=8.0)))
     names = ("bogie right", "body left")
     without = Finding(WITHOUT_SENSORS, names=names, listed=together(names, ", "))
-    quality = Quality(faults=together((loose, "body: spike")), warnings=without)
-    results = [replace(r, quality=quality) for r in measured()[:2]]
+    faults = together((loose, "body: spike"))
+    results = [with_faults(r, faults, warnings=without) for r in measured()[:2]]
     trips = [r.trip for r in results]
-    assert failing_sensors(results) == {
-        loose: trips,
-        "body left: not used for the parts": trips,
-    }
-    assert failing_words(results) == (
-        "dead, loose or not used: bogie right, body left (on 2 of the last 2 trips)"
-    )
-
-
-def test_flags_on_all_trips_contradict_nothing(tmp_path):
-    """It was "2 of 4 parameters stand out: k_p: no change beyond the spread"."""
-    results = [flagged(r, k_p=0.6) for r in measured()]
-    _, page = write(tmp_path / "r.html", results)
-    assert page.named("div")[0]["class"] == "result act"
-    assert "1 of 4 parameters is beyond the act limit:" in page.text
-    assert "below the act limit of 80 %; it has been so since the first trips; all" in page.text
-    assert "All 12 trips are flagged" in page.text
+    assert failing_sensors(results) == {loose: trips, "body left: not used for the parts": trips}
+    assert "bogie right, body left (on 2 of the last 2 trips)" in failing_words(results)
 
 
 def test_weaker_side_is_told_above_and_in_the_table(tmp_path):
@@ -457,54 +361,25 @@ def test_alarms_and_remaining_life_are_shown(tmp_path):
     assert '<td class="n life">passed</td>' in text
 
 
-def test_one_sentence_for_all_parameters_is_written_once_above_and_once_in_the_table(tmp_path):
-    results = [flagged(r) for r in measured()]
-    _, page = write(tmp_path / "r.html", results)
-    assert page.text.count("not judged, as all trips are flagged") == 2
-    assert "k p , c p , k s , c s : not judged, as all trips are flagged" in page.text
-    assert page.text.count("as above") >= 3  # no row is without a reason
-    assert "within its limits" not in page.text.partition(" Words ")[0]
-
-
 def test_how_files_were_read_is_a_detail_and_no_fault(tmp_path):
-    def read(name, delimiter):
+    def read(result, *files):
         known = {"header": "no names", "first_line": 1, "encoding": "utf-8", "bom": ""}
-        return of(name, Finding("csv-dialect", delimiter=delimiter, decimal="','", **known))
+        words = together(
+            of(name, Finding("csv-dialect", delimiter=sign, decimal="','", **known))
+            for name, sign in files
+        )
+        return replace(result, quality=replace(result.quality, read_as=words, faults=""))
 
-    words = read("axle_box.csv", "tab")
-    results = [replace(r, quality=replace(r.quality, read_as=words, faults="")) for r in measured()]
-    results[3] = replace(results[3], quality=replace(results[3].quality, read_as="other"))
-    several = together((words, read("b.csv", "';'"), read("c.csv", "';'")))
-    results[4] = replace(results[4], quality=replace(results[4].quality, read_as=several))
+    results = [read(r, ("axle_box.csv", "tab")) for r in measured()]
+    results[4] = read(results[4], ("axle_box.csv", "tab"), ("b.csv", "';'"), ("c.csv", "';'"))
     details = files_read_as(results)
-    words = words.values["words"]
+    words = results[0].quality.read_as.values["words"]
     other = words.replace("tab", "';'")
-    assert details == {"files read as": f"{words} (11 files) · other (1 trip) · {other} (2 files)"}
-    assert files_read_as(results[3:4]) == {"files read as": "other"}
+    assert details == {"files read as": f"{words} (12 files) · {other} (2 files)"}
     assert files_read_as(measured()) == {}
     text, page = write(tmp_path / "r.html", results, details=details)
     assert page.text.count(words) == 1
     assert text.index("delimiter") > text.index("<h2>Details</h2>")
-
-
-def test_plus_and_minus_of_the_healthy_values_have_their_level(tmp_path):
-    si = {"healthy_si": {"k_p": 1.3e6}, "healthy_half_widths": {"k_p": 0.02}}
-    _, page = write(tmp_path / "r.html", measured(**si), level=0.95)
-    assert "1300 kN/m ± 2 %" in page.text
-    assert "100 % is: ± half of its 95 % interval." in page.text
-
-
-def test_page_does_not_deny_intervals_that_the_tables_have(tmp_path):
-    results = [*measured(5), flagged(measured()[6])]
-    _, page = write(tmp_path / "r.html", results)
-    assert np.isfinite(results[-1].interval("k_p")).all()
-    assert "have no interval" not in page.text
-    assert "intervals need not hold the true values and are not shown" in page.text
-
-
-def test_unknown_remaining_life_says_why(tmp_path):
-    text, _ = write(tmp_path / "r.html", measured(3))
-    assert '<td class="n life">unknown<small>too few trips (3 of 5)</small></td>' in text
 
 
 def test_report_is_german_where_that_is_chosen(tmp_path):
@@ -536,11 +411,3 @@ def test_texts_of_figures_are_german_but_not_what_ticks_name():
     assert shown == ["$k_p$ [% Referenz]", "Laufleistung [1000 km]", "Fahrt bei 3 000 km"]
     assert figure.legends[0].get_texts()[0].get_text() == "Eingriffsgrenze"
     assert [one.get_text() for one in axis.get_yticklabels()] == ["train left", "right"]
-
-
-def test_details_are_in_the_language_of_the_page(tmp_path):
-    with speaking("de"):
-        _, page = write(
-            tmp_path / "r.html", measured(), details={"healthy is": "the vehicle file's drawing"}
-        )
-    assert "gesund ist die Zeichnung der Fahrzeugdatei" in page.text

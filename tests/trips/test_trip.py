@@ -1,12 +1,10 @@
 """One trip at a time: estimates near the truth, bins of speed, what is left out, every refusal."""
 
-import itertools
 import math
 import re
 from dataclasses import replace
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 import torch
 from trip_fixtures import (
@@ -34,6 +32,8 @@ from suspnet.recordings.manifest import CHANNELS
 from suspnet.simulation.fleet import Scenario
 from suspnet.spectra.welch import Welch
 from suspnet.trips import trip
+from suspnet.trips.check import CheckSettings, check_trip
+from suspnet.trips.check_page import READY, TOO_LITTLE
 from suspnet.trips.trip import evaluate_trip
 
 SETTINGS = TripSettings()
@@ -67,15 +67,12 @@ def two_speeds(tmp_path_factory):
     (fast,) = write_trips(folder / "fast", scenario=scenario)
     (slow,) = write_trips(folder / "slow", scenario=scenario, speed=50.0)
 
-    def join(seconds):
-        signals = {}
-        for name in (*CHANNELS, "speed"):
-            n = int(seconds * RATE.get(name, 1.0))
-            whole = int(60 * MINUTES * RATE.get(name, 1.0))
-            signals[name] = np.concatenate([signal(fast, name)[:whole], signal(slow, name)[:n]])
-        return changed(fast, folder, f"joined_{seconds}", signals)
-
-    return join
+    signals = {}
+    for name in (*CHANNELS, "speed"):
+        first, second = (int(s * RATE.get(name, 1.0)) for s in (60 * MINUTES, 200))
+        parts = [signal(fast, name)[:first], signal(slow, name)[:second]]
+        signals[name] = np.concatenate(parts)
+    return changed(fast, folder, "joined", signals)
 
 
 def evaluated(manifest, model, settings=SETTINGS):
@@ -197,21 +194,10 @@ def test_trip_is_described_as_its_manifest_says(manifests, model, tmp_path):
     assert as_written.start == "2015-08-04T20:00:00+00:00"
 
 
-def test_trip_of_another_axle_than_the_models_is_refused(manifests, model, tmp_path):
-    assert evaluated(changed(manifests[2], tmp_path, axle="leading"), model).status == OK
-    result = evaluated(changed(manifests[2], tmp_path, axle="trailing"), model)
-    assert (result.status, result.reason) == (
-        "error",
-        "the trip is of the trailing axle, the model of the other one: train one with "
-        "generator.axle=trailing",
-    )
-
-
-@pytest.mark.parametrize("seconds", [200, pytest.param(280, marks=pytest.mark.slow)])
 def test_speed_bins_are_averaged_by_the_inverse_squares_of_their_half_widths(
-    two_speeds, model, seconds, monkeypatch
+    two_speeds, model, monkeypatch
 ):
-    path, models, shares = two_speeds(seconds), [model, slow_model()], []
+    path, models, shares = two_speeds, [model, slow_model()], []
 
     def kept(*arguments):
         estimate, noise_share = estimate_with_noise(*arguments)
@@ -240,13 +226,12 @@ def test_speed_bins_are_averaged_by_the_inverse_squares_of_their_half_widths(
     assert both.quality.segments_used == sum(one.quality.segments_used for one in alone)
     coherence = weights @ [one.quality.coherence_s for one in alone] / weights.sum()
     assert both.quality.coherence_s == pytest.approx(coherence)
-    bins = [one.quality.speed_bins for one in alone]
-    assert both.quality.speed_bins == "; ".join(bins)
-    np.testing.assert_array_equal(both.curves.responses, alone[0].curves.responses)
+    assert both.quality.speed_bins == "; ".join(one.quality.speed_bins for one in alone)
     assert both.estimates["k_s"] == pytest.approx(0.8, rel=0.04)  # test error 1.1 %
     swapped = evaluate_trip(path, models[::-1], SETTINGS)
     assert swapped.estimates == pytest.approx(both.estimates)
-    np.testing.assert_array_equal(swapped.curves.responses, alone[0].curves.responses)
+    for one in (both, swapped):
+        np.testing.assert_array_equal(one.curves.responses, alone[0].curves.responses)
 
 
 def test_speed_must_stay_in_the_bin_throughout(manifests, model, tmp_path):
@@ -274,12 +259,9 @@ def test_delay_that_is_the_same_all_along_is_named(manifests, model, good, tmp_p
     assert re.search(r"body looks (4\.9\d?|5(\.[01]\d?)?) ms late relative to bogie", words)
 
 
-@pytest.mark.representatives(1)
 @pytest.mark.parametrize(
     ("flags", "expected"),
     [
-        pytest.param(("", ""), "", marks=pytest.mark.slow),
-        pytest.param(("odd", ""), "in 1 of 2 speed bins, at 70.0 m/s: odd", marks=pytest.mark.slow),
         (("", "odder"), "in 1 of 2 speed bins, at 50.0 m/s: odder"),
         (("odd", "odder"), "in 2 of 2 speed bins, at 70.0 m/s: odd"),
     ],
@@ -298,7 +280,7 @@ def test_flags_of_speed_bins_are_those_of_the_best_one_flagged(
         return replace(estimate, flags=flags), noise_share
 
     monkeypatch.setattr(recording, "estimate_with_noise", marked)
-    path = two_speeds(200)
+    path = two_speeds
     assert evaluate_trip(path, [slow_model(), model], SETTINGS).flags == expected
     assert evaluated(path, model).flags == flags[0]
 
@@ -306,45 +288,21 @@ def test_flags_of_speed_bins_are_those_of_the_best_one_flagged(
 # limit
 
 
-def test_fault_costs_averages_and_is_told(manifests, model, good, tmp_path):
-    body = signal(manifests[0], "body").copy()
-    body[(100 * 250) : (130 * 250)] = np.nan
-    result = evaluated(changed(manifests[0], tmp_path, signals={"body": body}), model)
-    assert result.quality.faults.startswith("body: gap of 7500 samples (30 s), first at 100.000 s")
-    assert 89 < result.quality.usable_percent <= 90
-    # segments start every 10 s: four or five of them overlap with the gap
-    assert result.quality.segments_used == result.quality.segments_total == N_SEGMENTS - 5
-    assert result.quality.n_averages == pytest.approx(Welch().n_averages(N_SEGMENTS - 5))
-    assert close(result, good)
-
-
-@pytest.mark.representatives(1)
-@pytest.mark.parametrize(
-    ("change", "kinds"),
-    [
-        pytest.param(lambda v: v + 9.81, ["offset"], marks=pytest.mark.slow),
-        (lambda v: v + np.linspace(-3, 3, len(v)), ["drift"]),
-        (lambda v: v + 1e3 * (np.arange(len(v)) % 2500 == 1250), ["spike"]),
-        (lambda v: np.where(np.arange(len(v)) % 5000 == 77, np.nan, v), ["gap"]),
-    ],
-    ids=["offset", "drift", "spikes", "single samples lost"],
-)
-def test_harmless_fault_changes_nothing(manifests, model, good, tmp_path, change, kinds):
-    values = change(signal(manifests[0], "body").astype(float))
+def test_harmless_faults_change_nothing(manifests, model, good, tmp_path):
+    values = signal(manifests[0], "body").astype(float)
+    i = np.arange(len(values))
+    values += 9.81 + np.linspace(-3, 3, len(values)) + 1e3 * (i % 2500 == 1250)
+    values[i % 5000 == 77] = np.nan
     result = evaluated(changed(manifests[0], tmp_path, signals={"body": values}), model)
-    assert [part.split()[1] for part in result.quality.faults.split("; ")] == kinds
+    kinds = {part.split()[1] for part in result.quality.faults.split("; ")}
+    assert kinds == {"offset", "drift", "spike", "gap"}
     assert result.quality.segments_used == N_SEGMENTS
     assert close(result, good, 1.002)
 
 
-def sizes_of_noise(size, channel):
-    """Return one size of noise in one channel, then as slow cases all others and 1000."""
-    first, every = (size, channel), itertools.product((size, 1000.0), CHANNELS)
-    slow = [pytest.param(*one, marks=pytest.mark.slow) for one in every if one != first]
-    return [first, *slow]
-
-
-@pytest.mark.parametrize(("size", "channel"), sizes_of_noise(3.0, "body"))
+@pytest.mark.parametrize(
+    ("size", "channel"), [(3.0, "body"), pytest.param(1000.0, "axle_box", marks=pytest.mark.slow)]
+)
 def test_segments_with_unrelated_noise_are_left_out(
     no_loose_sensor, manifests, model, good, tmp_path, channel, size
 ):
@@ -355,7 +313,9 @@ def test_segments_with_unrelated_noise_are_left_out(
     assert close(result, good)
 
 
-@pytest.mark.parametrize(("size", "channel"), sizes_of_noise(10.0, "bogie"))
+@pytest.mark.parametrize(
+    ("size", "channel"), [(10.0, "bogie"), pytest.param(1000.0, "body", marks=pytest.mark.slow)]
+)
 def test_unrelated_noise_counts_as_a_loose_sensor(manifests, model, good, tmp_path, channel, size):
     result = evaluated(noisy(manifests[0], tmp_path, channel, size), model)
     assert result.quality.faults.startswith(f"{channel}: loose from about ")
@@ -363,45 +323,6 @@ def test_unrelated_noise_counts_as_a_loose_sensor(manifests, model, good, tmp_pa
     assert N_SEGMENTS - 9 <= result.quality.segments_used <= N_SEGMENTS - 6
     assert result.quality.segments_used == result.quality.segments_total
     assert close(result, good)
-
-
-@pytest.mark.slow
-def test_noise_in_all_segments_alike_leaves_none_out(manifests, model, tmp_path):
-    path = noisy(manifests[0], tmp_path, "bogie", 5.0, seconds=(0, 300))
-    result = evaluated(path, model, TripSettings(max_deviation=10.0))
-    assert result.quality.coherence_p < SETTINGS.min_coherence
-    assert result.quality.segments_used == N_SEGMENTS
-    assert result.quality.warnings.startswith("units and signs not checked")
-
-
-@pytest.mark.slow
-def test_what_happens_at_other_speeds_does_not_matter(no_loose_sensor, manifests, model, tmp_path):
-    speed = np.where(np.arange(301) < 140, 70.0, 30.0)
-    quiet = noisy(manifests[0], tmp_path, "body", 3.0, seconds=(60, 70))
-    settings = TripSettings(min_averages=5, check_channels=False)
-    results = []
-    for size in (0.0, 10.0):
-        body = pq.read_table(tmp_path / "changed" / "body.parquet").column(0).to_numpy().copy()
-        body[140 * 250 :] += (
-            size * body.std() * np.random.default_rng(5).standard_normal(len(body) - 140 * 250)
-        )
-        path = changed(quiet, tmp_path, f"size_{size:g}", {"body": body, "speed": speed})
-        results.append(evaluated(path, model, settings))
-    assert 8 <= results[0].quality.segments_used <= 10  # 12 less those with noise
-    assert results[1].quality.segments_used == results[0].quality.segments_used
-    assert close(*results, 1.001)
-
-
-def test_channels_are_checked_where_the_train_runs(manifests, model, tmp_path):
-    """In the second half the train stops every other second, and the bogie's sensor is turned."""
-    seconds = np.arange(301)
-    speed = np.where((seconds > 150) & (seconds % 2 == 0), 5.0, 70.0)
-    bogie = signal(manifests[0], "bogie").copy()
-    bogie[150 * 250 :] *= -4
-    path = changed(manifests[0], tmp_path, signals={"bogie": bogie, "speed": speed})
-    result = evaluated(path, model)
-    assert (result.status, result.quality.warnings) == (OK, "")
-    assert result.quality.segments_used == 14
 
 
 def test_number_of_low_coherence_is_told(no_loose_sensor, manifests, model, tmp_path):
@@ -418,28 +339,13 @@ def test_number_of_low_coherence_is_told(no_loose_sensor, manifests, model, tmp_
 # failure
 
 
-@pytest.mark.representatives(3)
 @pytest.mark.parametrize(
     ("speed", "settings", "message"),
     [
-        (
-            3.0,
-            {},
-            "the trip is run at 3.0 m/s, the model reads 64.4 to 75.6 m/s: is the speed in m/s? If "
-            "so, train a model for it, speed_m_per_s=...",
-        ),
-        (30.0, {}, "the trip is run at 30.0 m/s, the model reads 64.4 to 75.6 m/s"),
-        (
-            70.0,
-            {"min_averages": 27},
-            "28 segments without faults: 4.8 minutes, at least 5.0 are needed, 0.2 more: the "
-            "recording is too short",
-        ),
-        (
-            70.0,
-            {"max_deviation": 0.005},
-            "the responses are uncertain by 0.91 % (coherence 0.99, 27",
-        ),
+        (3.0, {}, "run at 3.0 m/s, the model reads 64.4 to 75.6 m/s: is the speed in m/s?"),
+        (30.0, {}, "run at 30.0 m/s, the model reads 64.4 to 75.6 m/s"),
+        (70.0, {"min_averages": 27}, "4.8 minutes, at least 5.0 are needed, 0.2 more"),
+        (70.0, {"max_deviation": 0.005}, "uncertain by 0.91 % (coherence 0.99, 27"),
         (70.0, {"rate_hz": 20}, "the model's band reaches 9.9 Hz, the recording is read up to 5"),
     ],
 )
@@ -452,34 +358,35 @@ def test_nothing_to_estimate_from(manifests, model, tmp_path, speed, settings, m
     assert result.mileage_km == 1000.0
 
 
-def test_least_averages_are_enough(manifests, model, good):
-    settings = TripSettings(min_averages=good.quality.n_averages)
-    assert evaluated(manifests[0], model, settings).estimates == good.estimates
-
-
-def test_largest_deviation_is_the_median_of_the_worse_link(manifests, model, good):
+def test_limits_of_averages_and_deviation_are_inclusive(manifests, model, good):
+    """The deviation is the median of the worse link, over the band that it is read in."""
     curves = good.curves
     used = curves.frequencies_hz <= model.settings.body_high_hz + 1e-9
     medians = np.median(curves.deviations[0]), np.median(curves.deviations[1, used])
     assert medians[1] > medians[0]
     # a median that counts those beyond would be told apart
     assert abs(np.median(curves.deviations[1]) / medians[1] - 1) > 0.005
-    worse = float(medians[1])
     for factor, status in ((1.001, OK), (0.999, NO_ESTIMATE)):
-        settings = TripSettings(max_deviation=factor * worse)
+        settings = TripSettings(
+            max_deviation=factor * float(medians[1]), min_averages=good.quality.n_averages
+        )
         assert evaluated(manifests[0], model, settings).status == status
 
 
-def test_no_segment_is_free_of_faults(manifests, model, tmp_path):
-    bogie = signal(manifests[0], "bogie").copy()
-    bogie[:: 250 * 15] = bogie[1 :: 250 * 15] = bogie[2 :: 250 * 15] = bogie[3 :: 250 * 15] = np.nan
-    path = changed(manifests[0], tmp_path, signals={"bogie": bogie})
-    result = evaluated(path, model)
+@pytest.mark.parametrize(
+    ("channel", "lost", "reason"),
+    [
+        ("bogie", [range(i, 75_000, 3750) for i in range(4)], "bogie: gap of 80 samples"),
+        ("speed", [range(0, 301, 15)], "speed: gap of 19 samples"),
+    ],
+)
+def test_no_segment_is_free_of_faults(manifests, model, tmp_path, channel, lost, reason):
+    values = signal(manifests[0], channel).copy()
+    for places in lost:
+        values[places] = np.nan
+    result = evaluated(changed(manifests[0], tmp_path, signals={channel: values}), model)
     assert result.status == NO_ESTIMATE
-    assert result.reason.startswith(
-        "no segment of 20 s is free of faults: bogie: gap of 80 samples"
-    )
-    assert 90 < result.quality.usable_percent < 100
+    assert result.reason.startswith(f"no segment of 20 s is free of faults: {reason}")
     assert "gap" in result.quality.faults
 
 
@@ -500,6 +407,8 @@ def test_channels_are_checked_unless_told_not_to(
     result = evaluated(path, model, TripSettings(check_channels=check))
     assert (result.status == ERROR) is check
     assert result.reason.startswith(message) is check
+    assert result.quality.segments_total == N_SEGMENTS
+    assert result.quality.usable_percent == 100.0
 
 
 def test_swapped_files_are_found(manifests, model, tmp_path):
@@ -511,10 +420,17 @@ def test_swapped_files_are_found(manifests, model, tmp_path):
     )
 
 
-def test_other_vehicle_is_refused(manifests, model, tmp_path):
-    result = evaluated(changed(manifests[0], tmp_path, vehicle="ice3"), model)
-    message = "the trip is of vehicle 'ice3', the model was trained for 'am96'"
-    assert (result.status, result.reason, result.vehicle) == (ERROR, message, "ice3")
+@pytest.mark.parametrize(
+    ("changes", "kind"),
+    [
+        ({"vehicle": "ice3"}, "model-of-other-vehicle"),
+        ({"axle": "trailing"}, "model-of-other-axle"),
+    ],
+)
+def test_trip_of_another_vehicle_or_axle_is_refused(manifests, model, tmp_path, changes, kind):
+    result = evaluated(changed(manifests[0], tmp_path, **changes), model)
+    assert (result.status, result.reason.kind) == (ERROR, kind)
+    assert result.vehicle == changes.get("vehicle", "am96")
 
 
 def test_missing_peak_is_named(tmp_path):
@@ -530,57 +446,27 @@ def test_broken_manifest_and_files_are_errors_without_their_path(manifests, mode
     path = tmp_path / "x.yaml"
     path.write_text("a: [")
     result = evaluated(path, model)
-    assert result.status == ERROR
-    assert result.reason.startswith("is not valid YAML")
+    assert (result.status, result.reason[:17]) == (ERROR, "is not valid YAML")
     assert np.isnan(result.mileage_km)
     path = changed(manifests[0], tmp_path, signals={"body": np.full(75_000, 1.5)})
     result = evaluated(path, model)
-    assert result.reason == (
-        "channel 'body' is constant (1.5) throughout: is the sensor connected?"
-    )
+    assert result.reason.startswith("channel 'body' is constant (1.5) throughout")
     assert result.mileage_km == 1000.0
 
 
 @pytest.mark.parametrize(
     ("error", "reason"), [(RuntimeError("boom"), "RuntimeError: boom"), (TripError("x"), "x")]
 )
-def test_what_nobody_thought_of_is_a_row_too(manifests, model, monkeypatch, error, reason):
+def test_any_error_is_a_row_but_not_ctrl_c(manifests, model, monkeypatch, error, reason):
     def fail(*_):
         raise error
 
     monkeypatch.setattr(trip, "load_recording", fail)
     result = evaluated(manifests[0], model)
     assert (result.status, result.reason) == (ERROR, reason)
-
-
-def test_ctrl_c_is_not_taken_for_a_fault_of_the_trip(manifests, model, monkeypatch):
-    def interrupt(*_):
-        raise KeyboardInterrupt("stop")
-
-    monkeypatch.setattr(trip, "load_recording", interrupt)
+    error = KeyboardInterrupt("stop")
     with pytest.raises(KeyboardInterrupt, match="stop"):
         evaluate_trip(manifests[0], [model], SETTINGS)
-
-
-@pytest.mark.slow
-def test_channels_are_checked_at_the_speed_of_each_model(two_speeds, monkeypatch, model):
-    asked = []
-
-    def spy(spectra, frequencies_hz, generator, vehicle):
-        asked.append(generator.speed_m_per_s)
-        return ""
-
-    monkeypatch.setattr(recording, "check_channels", spy)
-    models = [slow_model(), model]
-    result = evaluate_trip(two_speeds(200), models, SETTINGS)
-    assert result.status == OK
-    assert asked == [m.generator.speed_m_per_s for m in models]
-
-
-def test_no_channel_is_checked_where_no_segment_is_at_the_speed(manifests, monkeypatch):
-    monkeypatch.setattr(recording, "check_channels", lambda *_: pytest.fail("was checked"))
-    result = evaluated(manifests[0], slow_model())
-    assert result.status == NO_ESTIMATE
 
 
 def test_segment_of_two_overlapping_bins_counts_once(manifests, model, good):
@@ -591,20 +477,40 @@ def test_segment_of_two_overlapping_bins_counts_once(manifests, model, good):
     assert result.estimates == pytest.approx(good.estimates)
 
 
-def test_quality_of_a_refused_trip_is_kept(manifests, model, tmp_path):
-    path = changed(manifests[0], tmp_path, channels={"body": {"unit": "g"}})
-    result = evaluated(path, model)
-    assert result.status == ERROR
-    assert result.quality.segments_total == N_SEGMENTS
-    assert result.quality.usable_percent == 100.0
-    assert result.quality.duration_s == pytest.approx(60 * MINUTES, abs=1.0)
+# a sensor that comes loose
 
 
-def test_unknown_speed_is_a_reason(manifests, model, tmp_path):
-    speed = signal(manifests[0], "speed").copy()
-    speed[::15] = np.nan
-    result = evaluated(changed(manifests[0], tmp_path, signals={"speed": speed}), model)
-    assert result.reason == (
-        "no segment of 20 s is free of faults: speed: gap of 19 samples (19 s), first at 15.000 s, "
-        "not usable; the speed is unknown in part"
-    )
+def loose(manifest, folder, channel, from_s):
+    """Return a copy of a trip in which a sensor shows the last digit of its logger from a time."""
+    values = signal(manifest, channel).astype(float)
+    later = values[round(from_s * RATE[channel]) :]
+    later[:] = 0.01 * values.std() * ((later * 1e6).round() % 3 - 1)
+    return changed(manifest, folder, channel, {channel: values})
+
+
+@pytest.mark.parametrize("channel", [pytest.param("axle_box", marks=pytest.mark.slow), "bogie"])
+def test_good_part_is_estimated(manifests, model, tmp_path, channel):
+    whole = recalled_trip(manifests[1], [model], SETTINGS)
+    path = loose(manifests[1], tmp_path, channel, 200)
+    part = evaluate_trip(path, [model], SETTINGS)
+    assert part.status == whole.status == OK
+    assert f"{channel}: loose from about " in part.quality.faults
+    assert "jump" not in part.quality.faults
+    assert part.flags == whole.flags == ""
+    assert part.quality.n_averages == pytest.approx(whole.quality.n_averages * 190 / 300, rel=0.15)
+    for name in OUTPUTS:
+        low, high = part.interval(name)
+        assert low < whole.estimates[name] < high
+    checked = check_trip(path, CheckSettings({model.vehicle.name: model.vehicle}))
+    assert checked.state == READY
+    assert any(remark.startswith(f"{channel}: loose from about ") for remark in checked.remarks)
+
+
+def test_too_little_before_is_one_reason(manifests, model, tmp_path):
+    path = loose(manifests[1], tmp_path, "body", 100)
+    part = evaluate_trip(path, [model], SETTINGS)
+    assert part.status == NO_ESTIMATE
+    assert "too little is free of faults: body: loose from about " in part.reason
+    assert "jump" not in part.reason + part.quality.faults
+    checked = check_trip(path, CheckSettings({model.vehicle.name: model.vehicle}))
+    assert checked.state == TOO_LITTLE
