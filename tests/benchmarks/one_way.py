@@ -3,7 +3,8 @@
 python tests/benchmarks/one_way.py [--cases "one side" pairs] [--seeds 0 1 2] [--minutes 20 5]
 
 Each seed is a train of tests/blind_train.py, of which neither way has the equations. Five healthy
-trips commission it, then come trips on which all springs and dampers of a kind have worn alike. Ways:
+trips commission it, then come trips on which all springs and dampers of a kind have worn alike.
+Ways:
 
 - transfer functions: `VerticalVehicle`, from axle box to frame to body, means of pairs;
 - each part: `SpatialVehicle` and spectral matrices, twelve separate ratios, of which the one of a
@@ -100,9 +101,13 @@ def written(case, n_worn, folder):
     return ratios[N_HEALTHY:]
 
 
-def rows_of(case, way, truth, values, deviations, seconds, commissioned, misfit):
+def rows_of(case, way, truth, values, deviations, seconds, commission_s, misfit):
     """Return a row of each kind on one trip."""
-    head = case.head | {"way": way, "commission_s": f"{commissioned:.1f}", "misfit": f"{misfit:.3f}"}
+    head = case.head | {
+        "way": way,
+        "commission_s": f"{commissioned:.1f}",
+        "misfit": f"{misfit:.3f}",
+    }
     return [
         head
         | {"kind": kind, "truth": f"{truth[i]:.4f}", "estimate": f"{values[i]:.5f}"}
@@ -114,8 +119,8 @@ def rows_of(case, way, truth, values, deviations, seconds, commissioned, misfit)
 # transfer functions
 
 
-def by_transfer_functions(case, folder, worn):
-    """Return the rows of the vertical vehicle, each fit started from the healthy vehicle."""
+def commissioned(case, folder):
+    """Return settings, the vertical vehicle of the healthy trips, all trips, and the seconds."""
     vehicle = suspnet.read_vehicles()["am96"]
     generator = suspnet.VerticalVehicle(vehicle)
     settings = suspnet.EstimateSettings(minutes=case.minutes)
@@ -125,10 +130,17 @@ def by_transfer_functions(case, folder, worn):
     healthy = replace(every, manifests=every.manifests[:N_HEALTHY], groups=groups)
     start = time.process_time()
     outcome = commission_trips(healthy, generator, settings)
-    took = time.process_time() - start
+    return settings, outcome, every.groups, time.process_time() - start
+
+
+def by_transfer_functions(case, folder, worn):
+    """Return the rows of the vertical vehicle, each fit started from the healthy vehicle."""
+    settings, outcome, groups, took = commissioned(case, folder)
     read = TransferReader(outcome, settings)
     rows = []
-    for group in every.groups[len(groups) :]:
+    for group in groups:
+        if group.trip < N_HEALTHY:
+            continue
         start = time.process_time()
         values, deviations, misfit = read(group)
         seconds = time.process_time() - start
