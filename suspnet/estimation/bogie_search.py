@@ -59,8 +59,8 @@ FURTHEST = 20.0
 """Largest coordinate of vehicles that are tried: logarithms of ratios, and deviations of priors."""
 SEPARATE = np.eye(len(COMPONENTS))
 EQUAL = np.array([[name.startswith(kind) for kind in PARAMETERS] for name in COMPONENTS], float)
-"""Logarithms of the ratios of ``COMPONENTS`` with each coordinate of a later trip: each part has its
-own, or all parts of a kind have one."""
+"""Changes of the logarithms of ``COMPONENTS`` with each coordinate of a later trip: each part has a
+coordinate, or all parts of a kind share one."""
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ import numpy as np
 import torch
 from named_parts import BOXES, DIAGONAL, PAIRS, RESULTS, Run, Track, Train, record, write_trip
 from scipy.stats import norm
+from tabulate import tabulate
 
 import suspnet
 from suspnet.estimation.bogie_fit import commission_bogie
@@ -55,11 +56,15 @@ LAYOUTS = {
 SPEEDS = {"fast": (60.0, 78.0), "slow": (25.0, 40.0)}
 """Ranges of the speeds of all trips [m/s]."""
 KINDS = PARAMETERS[:4]
-VERTICAL = (
+ALIKE = (
     *("bushings", "rubber", "guidance", "longitudinal", "bending", "payload", "sensors"),
-    *("other_bogie", "yaw_dampers"),
+    *("other_bogie", "axle_box_arm"),
 )
-"""Parts of a vehicle whose sensors measure no lateral motion."""
+"""Parts that the vertical vehicle has too; what excites single wheelsets is in the noise."""
+VERTICAL = (*ALIKE[:-1], "yaw_dampers")
+"""Parts of a vehicle whose sensors measure no lateral motion, as trips of each part have them."""
+TIED = {"middle": ("tied, three channels", VERTICAL), "alike": ("tied, no yaw dampers", ALIKE)}
+"""Ways of three channels, and the parts of their vehicles."""
 LEVEL = 0.9
 N_HEALTHY = 5
 BAND_HZ = (0.5, 18.0)
@@ -178,12 +183,12 @@ class TransferReader:
 # spectral matrices
 
 
-def middle_vehicle(case):
+def middle_vehicle(case, parts):
     """Return the vehicle of equal sides whose three sensors are on one side or in the middle."""
     side = "left" if case.layout == "one side" else "middle"
     places = [f"{place}_{side}" for place in ("axle_box_axle1", "frame_axle1", "body")]
     vehicle = suspnet.SpatialVehicle(
-        suspnet.read_vehicles()["am96"], parts=VERTICAL, sensors=places
+        suspnet.read_vehicles()["am96"], parts=parts, sensors=places
     ).with_prior()
     of_sides = [
         one.name
@@ -255,17 +260,18 @@ def recordings_of(folder):
 def read_case(case, options, folder):
     """Return the rows of all ways that a case allows."""
     worn = written(case, options.trips, folder)
-    rows = []
+    rows: list[dict[str, str]] = []
     if case.layout != "four" and "transfer" in options.ways:
         rows += by_transfer_functions(case, folder, worn)
-        print(table(rows), flush=True)
+        merged(rows, options.output)
     recordings = recordings_of(folder)
-    if case.layout in ("one side", "pairs") and "middle" in options.ways:
-        vehicle = middle_vehicle(case)
+    is_of_three = case.layout in ("one side", "pairs")
+    for way, parts in [TIED[key] for key in options.ways if is_of_three and key in TIED]:
+        vehicle = middle_vehicle(case, parts)
         segment_s = options.segment_s or (SEGMENT_S if case.minutes >= 15 else SEGMENT_S / 2)
         trips = [matrix_trip(one, vehicle, segment_s, options.spacing_hz) for one in recordings]
-        rows += by_matrices(case, trips, vehicle, worn, {"tied, three channels": True})
-        print(table(rows), flush=True)
+        rows += by_matrices(case, trips, vehicle, worn, {way: True})
+        merged(rows, options.output)
     if case.layout != "one side" and "parts" in options.ways:
         manifests = [one.manifest for one in recordings]
         vehicle = bogie_vehicle(manifests, suspnet.VerticalVehicle(suspnet.read_vehicles()["am96"]))
@@ -276,7 +282,7 @@ def read_case(case, options, folder):
             return rows
         ways = {"each part": False, "tied, all sensors": True}
         rows += by_matrices(case, trips, vehicle, worn, ways)
-        print(table(rows), flush=True)
+        merged(rows, options.output)
     return rows
 
 
@@ -299,7 +305,9 @@ def table(rows):
         seconds = [np.median([float(r[name]) for r in own]) for name in ("trip_s", "commission_s")]
         n_trains = len({r["seed"] for r in own})
         lines.append([*key, n_trains, len(own) // 4, *cells, *(f"{s:.2g}" for s in seconds)])
-    return "\n".join(" | ".join(map(str, line)) for line in lines)
+    headers = ["sensors", "minutes", "speeds", "way", "trains", "trips", *KINDS]
+    headers += ["s a trip", "s to commission"]
+    return tabulate(lines, headers, tablefmt="github", disable_numparse=True)
 
 
 def merged(rows, path):
