@@ -39,7 +39,7 @@ from suspnet.estimation.problem import Problem
 from suspnet.estimation.refine import refine
 from suspnet.ground.parameters import COMPONENTS, PARAMETERS
 from suspnet.ground.tensors import threads
-from suspnet.runs.commissioning import commission_trips
+from suspnet.runs.commissioning import FAMILY, commission_trips
 from suspnet.runs.predict import cost_without_model
 from suspnet.spectra.bogie_trip import BogieTrip
 from suspnet.spectra.segments import NoEstimateError, sensor_segments
@@ -65,6 +65,11 @@ VERTICAL = (*ALIKE[:-1], "yaw_dampers")
 """Parts of a vehicle whose sensors measure no lateral motion, as trips of each part have them."""
 TIED = {"middle": ("tied, three channels", VERTICAL), "alike": ("tied, no yaw dampers", ALIKE)}
 """Ways of three channels, and the parts of their vehicles."""
+TRANSFER = {
+    "transfer": ("transfer functions", FAMILY),
+    "transfer_yaw": ("transfer functions, yaw dampers", (*FAMILY, "yaw_dampers")),
+}
+"""Ways of the vertical vehicle, and its parts."""
 LEVEL = 0.9
 N_HEALTHY = 5
 BAND_HZ = (0.5, 18.0)
@@ -124,10 +129,10 @@ def rows_of(case, way, truth, values, deviations, seconds, commission_s, misfit)
 # transfer functions
 
 
-def commissioned(case, folder):
+def commissioned(case, folder, parts=FAMILY):
     """Return settings, the vertical vehicle of the healthy trips, all trips, and the seconds."""
     vehicle = suspnet.read_vehicles()["am96"]
-    generator = suspnet.VerticalVehicle(vehicle)
+    generator = suspnet.VerticalVehicle(vehicle, parts=parts)
     settings = suspnet.EstimateSettings(minutes=case.minutes)
     trips = suspnet.TripSettings(check_channels=False)
     every = read_healthy(folder, generator, settings.bound(vehicle), trips)
@@ -138,9 +143,9 @@ def commissioned(case, folder):
     return settings, outcome, every.groups, time.process_time() - start
 
 
-def by_transfer_functions(case, folder, worn):
+def by_transfer_functions(case, folder, worn, way, parts):
     """Return the rows of the vertical vehicle, each fit started from the healthy vehicle."""
-    settings, outcome, groups, took = commissioned(case, folder)
+    settings, outcome, groups, took = commissioned(case, folder, parts)
     read = TransferReader(outcome, settings)
     rows = []
     for group in groups:
@@ -150,7 +155,7 @@ def by_transfer_functions(case, folder, worn):
         values, deviations, misfit = read(group)
         seconds = time.process_time() - start
         rows += rows_of(
-            *(case, "transfer functions", worn[group.trip - N_HEALTHY]),
+            *(case, way, worn[group.trip - N_HEALTHY]),
             *(values, deviations, seconds, took, misfit),
         )
     return rows
@@ -261,9 +266,10 @@ def read_case(case, options, folder):
     """Return the rows of all ways that a case allows."""
     worn = written(case, options.trips, folder)
     rows: list[dict[str, str]] = []
-    if case.layout != "four" and "transfer" in options.ways:
-        rows += by_transfer_functions(case, folder, worn)
-        merged(rows, options.output)
+    for way, parts in [TRANSFER[key] for key in options.ways if key in TRANSFER]:
+        if case.layout != "four":  # it has no axle box
+            rows += by_transfer_functions(case, folder, worn, way, parts)
+            merged(rows, options.output)
     recordings = recordings_of(folder)
     is_of_three = case.layout in ("one side", "pairs")
     for way, parts in [TIED[key] for key in options.ways if is_of_three and key in TIED]:
@@ -335,7 +341,9 @@ def main():
     parser.add_argument("--minutes", nargs="+", type=float, default=[20.0, 5.0], help="of a trip")
     parser.add_argument("--speeds", nargs="+", choices=SPEEDS, default=["fast"])
     parser.add_argument("--trips", type=int, default=6, help="worn trips of each train")
-    parser.add_argument("--ways", nargs="+", default=["transfer", "middle", "parts"])
+    parser.add_argument(
+        "--ways", nargs="+", default=["transfer", "transfer_yaw", "middle", "parts"]
+    )
     parser.add_argument("--segment_s", type=float, help="of three channels")
     parser.add_argument("--spacing_hz", type=float, default=0.1, help="of three channels")
     parser.add_argument("--output", type=Path, default=RESULTS / "one_way.csv")
