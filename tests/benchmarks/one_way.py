@@ -42,7 +42,7 @@ from suspnet.ground.tensors import threads
 from suspnet.runs.commissioning import FAMILY, commission_trips
 from suspnet.runs.predict import cost_without_model
 from suspnet.spectra.bogie_trip import BogieTrip
-from suspnet.spectra.segments import NoEstimateError, sensor_segments
+from suspnet.spectra.segments import sensor_segments
 from suspnet.spectra.subspace import SpectralMatrix
 from suspnet.spectra.welch import Welch
 
@@ -73,6 +73,10 @@ TRANSFER = {
 LEVEL = 0.9
 N_HEALTHY = 5
 BAND_HZ = (0.5, 18.0)
+LONG = 15.0
+"""Minutes of a trip from which segments are as long as those of the programs."""
+SHORT_S = 40.0
+"""Length of the segments of six sensors on shorter trips, [s]: seven averages in 5 minutes."""
 
 
 @dataclass(frozen=True)
@@ -212,8 +216,8 @@ def matrix_trip(recording, vehicle, segment_s, spacing_hz):
     channels = {"axle_box": "axle_box", "frame": "bogie", "body": "body"}
     rows = []
     for place in vehicle.sensors:
-        kind, side = place.partition("_axle1")[0].removesuffix("_left"), place.rpartition("_")[2]
-        channel = channels[kind.removesuffix("_middle")]
+        side = place.rpartition("_")[2]
+        channel = next(channels[kind] for kind in channels if place.startswith(kind))
         own = [
             name.split()[0] == channel
             and (side == "middle" or recording.manifest.side_of(sources[name]) == side)
@@ -274,18 +278,18 @@ def read_case(case, options, folder):
     is_of_three = case.layout in ("one side", "pairs")
     for way, parts in [TIED[key] for key in options.ways if is_of_three and key in TIED]:
         vehicle = middle_vehicle(case, parts)
-        segment_s = options.segment_s or (SEGMENT_S if case.minutes >= 15 else SEGMENT_S / 2)
+        segment_s = options.segment_s or (SEGMENT_S if case.minutes >= LONG else SEGMENT_S / 2)
         trips = [matrix_trip(one, vehicle, segment_s, options.spacing_hz) for one in recordings]
         rows += by_matrices(case, trips, vehicle, worn, {way: True})
         merged(rows, options.output)
     if case.layout != "one side" and "parts" in options.ways:
         manifests = [one.manifest for one in recordings]
         vehicle = bogie_vehicle(manifests, suspnet.VerticalVehicle(suspnet.read_vehicles()["am96"]))
-        try:
+        # bogie_trip gives no estimate from short trips: segments of 120 s are too few
+        if case.minutes < LONG:
+            trips = [matrix_trip(one, vehicle, SHORT_S, options.spacing_hz) for one in recordings]
+        else:
             trips = [bogie_trip(one, vehicle) for one in recordings]
-        except NoEstimateError as reason:
-            print(reason)
-            return rows
         ways = {"each part": False, "tied, all sensors": True}
         rows += by_matrices(case, trips, vehicle, worn, ways)
         merged(rows, options.output)

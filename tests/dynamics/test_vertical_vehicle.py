@@ -353,7 +353,7 @@ def test_columns_are_drawn_independently():
     generator = VerticalVehicle(AM96, distribution=dict.fromkeys(UNMEASURED, 0.2))
     samples = generator.sample_unmeasured(torch.ones(4000, 5), seed=0)[:, 5:]
     offsets = torch.tensor([float(quantity.may_be_absent) for quantity in QUANTITIES])
-    assert offsets.sum() == 12
+    assert offsets.sum() == 14
     correlation = np.corrcoef((samples + offsets).log().numpy().T) - np.eye(len(UNMEASURED))
     assert np.abs(correlation).max() < 5.0 / math.sqrt(4000)
 
@@ -377,7 +377,7 @@ def test_prior_is_about_nominal_and_reaches_0_of_what_may_be_absent():
         below = stats.norm.cdf(-log_median / quantity.deviation) if offset else 0.0
         assert (column < 0).mean() == pytest.approx(below, abs=0.032 if offset else 0.0)
         assert (np.abs(column).min() < 0.01) >= bool(offset)
-    assert prior.offsets.sum() == 12
+    assert prior.offsets.sum() == 14
 
 
 @pytest.mark.parametrize("n_deviations", [-2.0, -1.0, 0.0, 0.5, 3.0])
