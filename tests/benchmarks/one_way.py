@@ -119,7 +119,7 @@ def rows_of(case, way, truth, values, deviations, seconds, commission_s, misfit)
     """Return a row of each kind on one trip."""
     head = case.head | {
         "way": way,
-        "commission_s": f"{commissioned:.1f}",
+        "commission_s": f"{commission_s:.1f}",
         "misfit": f"{misfit:.3f}",
     }
     return [
