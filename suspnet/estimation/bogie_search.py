@@ -123,7 +123,7 @@ class BogieSearch:
 
     @property
     def _n_own(self) -> int:
-        return self._own_ties.shape[1]
+        return len(self._own_ties.T)
 
     @property
     def tols(self) -> tuple[float, float]:
@@ -163,7 +163,8 @@ class BogieSearch:
         if ratios is None:
             own = np.tile(self._own[0], len(self.trips))
         else:
-            own = np.linalg.lstsq(self._own_ties, np.log(ratios), rcond=None)[0]
+            nearest = np.linalg.lstsq(self._own_ties, np.log(ratios), rcond=None)[0]
+            own = nearest.astype(np.float64)
         return np.concatenate([np.zeros(self.n_numbers), own])
 
     def nearer(self, ratios: FloatArray) -> FloatArray:
