@@ -3,7 +3,8 @@
 The rows are fields of `suspnet.dynamics.quantities.Quantity` after the part. Nominal values of the
 lateral numbers are those of the passenger vehicle of the Manchester benchmarks (Iwnicki, Vehicle
 System Dynamics 30, 295, 1998) as multibody programs publish it, rounded; the creep coefficient is
-that of Kalker's linear theory for a wheel load of about 50 kN.
+that of Kalker's linear theory for a wheel load of about 50 kN. Yaw dampers are those of high-speed
+bogies, 100 to 500 kN s/m behind bushings of 5 to 10 MN/m (from memory: no source was at hand).
 """
 
 from __future__ import annotations
@@ -64,7 +65,12 @@ SPATIAL_NUMBERS: dict[str, tuple[tuple[Any, ...], ...]] = {
         ("creep_ratio", 0.2, "", "lateral over longitudinal creep coefficient", 0.9),
         ("conicity", 0.7, "", "equivalent conicity of the wheels", 0.05),
     ),
-    "yaw_dampers": (("yaw_lateral", 0.2, "m", "half distance of the yaw dampers", 1.3),),
+    "yaw_dampers": (
+        ("yaw_damping", 1.0, "N s/m", "damping of a yaw damper, a side of a bogie", 2e5, True),
+        ("yaw_bushing", 0.7, "N/m", "bushings of a yaw damper", 6e6),
+        ("yaw_lateral", 0.2, "m", "half distance of the yaw dampers", 1.3),
+        ("yaw_height", 0.2, "m", "height of the yaw dampers above the links", 1.0, True, 0.0),
+    ),
     "torsion": (
         ("torsion_frequency", 0.25, "Hz", "frequency of the free frame's first torsion", 35.0),
         ("torsion_damping", 0.5, "", "damping ratio of the frame's first torsion", 0.02),

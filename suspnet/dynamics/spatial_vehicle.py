@@ -108,7 +108,8 @@ class SpatialVehicle(VehicleFamily):
     def quantities(self) -> tuple[Quantity, ...]:  # noqa: D102
         measuring = {f"{kind}_{place}" for kind in ("gain", "delay") for place in self._places[1:]}
         return (
-            *(one for one in QUANTITIES if one.part != "sensors"),
+            # those of yaw dampers are among its own
+            *(one for one in QUANTITIES if one.part not in ("sensors", "yaw_dampers")),
             *(one for one in SPATIAL_QUANTITIES if one.part != "sensors" or one.name in measuring),
         )
 
