@@ -18,6 +18,7 @@ import interval_coverage
 import methods_table
 import named_parts
 import numpy as np
+import one_way
 from against_n import METHODS, TUBE
 from cells import Parser, Row
 from layouts import layouts_markdown
@@ -425,6 +426,7 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
         None,
         lambda rows: named_parts.layouts_table(named_parts.stored(LAYOUT_CASES)),
     ),
+    "one_way": ("one_way.csv", one_way.table),
     "training_time": ("training_time.csv", training_time),
     "two_suspensions": ("two_suspensions.csv", two_suspensions),
     "methods": ("methods.csv", methods_table.table),

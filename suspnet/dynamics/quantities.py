@@ -95,6 +95,7 @@ _NUMBERS: dict[str, tuple[tuple[Any, ...], ...]] = {
         ("body_lever", 0.3, "m", "lever of the longitudinal links below the body's centre", 0.75),
         ("bogie_lever", 0.3, "m", "lever of the longitudinal links above the bogie's centre", 0.42),
     ),
+    "yaw_dampers": (),  # those of ``SPATIAL_NUMBERS`` but for their lateral place
     "bending": (
         ("bending_frequency", 0.25, "Hz", "frequency of the body's first bending", 10.0),
         ("bending_damping", 0.5, "", "damping ratio of the body's first bending", 0.015),
@@ -217,6 +218,10 @@ QUANTITIES = tuple(
     Quantity("other_bogie" if row[0] in OF_THE_TRIP else part, *row)
     for part, rows in _NUMBERS.items()
     for row in rows
+) + tuple(
+    Quantity("yaw_dampers", *row)
+    for row in SPATIAL_NUMBERS["yaw_dampers"]
+    if row[0] != "yaw_lateral"
 )
 """Every number, in the order of ``UNMEASURED``."""
 UNMEASURED = tuple(quantity.name for quantity in QUANTITIES)

@@ -58,7 +58,7 @@ from suspnet.dynamics.vertical_motion import (
     bending_element,
     guidance_element,
     lateral_element,
-    longitudinal_element,
+    links_of,
     primary_element,
     secondary_element,
 )
@@ -69,8 +69,6 @@ Row = dict[str, Tensor | float]
 """Factors of coordinates and inputs by name, numbers or tensors of shape (n_vehicles, 1)."""
 TORSION_MASS = 0.2
 """Modal mass of the torsion over the frame's mass."""
-LEAST_DAMPING = 1e-3
-"""Damping of a yaw damper that is as good as none [N s/m]."""
 SIGNS = {"left": 1.0, "right": -1.0, "middle": 0.0}
 """Lateral place of a side in units of that of the left one."""
 
@@ -174,19 +172,13 @@ def _linked(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
     f, t = _ends(layout)
     a, pivot = p["half_wheelbase"], p["half_pivot_distance"]
     aside = lateral_element(p).times(2)
-    # element, half distance, height above the links
-    along = []
-    if "longitudinal" in layout.parts:
-        along.append((longitudinal_element(p), p["secondary_lateral"], torch.zeros_like(a)))
-    if "yaw_dampers" in layout.parts:
-        along.append((_yaw_damper(p), p["yaw_lateral"], p["yaw_height"]))
+    halves = {"longitudinal": "secondary_lateral", "yaw_dampers": "yaw_lateral"}
+    half_m = [p[name] for part, name in halves.items() if part in layout.parts]
+    along = list(zip(links_of(p, layout.parts), half_m, strict=True))
     joints = []
     for i, sigma in (1, 1.0), (2, -1.0):
-        for element, half, height in along:
-            body, bogie = (
-                f * (p["body_lever"] - height) / pivot,
-                t * (p["bogie_lever"] + height) / a,
-            )
+        for (element, below_body, above_bogie), half in along:
+            body, bogie = f * below_body / pivot, t * above_bogie / a
             pitched: Row = {"phi": body, "q": sigma * p["bending_slope"] * body, f"psi_{i}": bogie}
             for lateral in half, -half:
                 yawed: Row = {"chi": -f * lateral / pivot, f"chi_{i}": t * lateral / a}
@@ -195,16 +187,6 @@ def _linked(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
         swayed |= {f"y_{i}": -1.0, f"theta_{i}": p["bogie_lever"]}
         joints.append(Joint(aside, swayed))
     return joints
-
-
-def _yaw_damper(p: Mapping[str, Tensor]) -> Element:
-    """Return one yaw damper in series with its bushings."""
-    damping = p["yaw_damping"]
-    # the rate of the branch would be infinite without any damping
-    damping = torch.where(damping.abs() < LEAST_DAMPING, LEAST_DAMPING, damping)
-    return Element(
-        torch.zeros_like(damping), None, [(p["yaw_bushing"], p["yaw_bushing"] / damping)]
-    )
 
 
 def _guided(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:

@@ -18,16 +18,17 @@ PLACES = (
     *(f"frame_{corner}" for corner in CORNERS),
     *(f"frame_centre_{side}" for side in (*SIDES, "middle")),
     *(f"body_{side}" for side in (*SIDES, "middle")),
+    *(f"{place}_axle{axle}_middle" for place in ("axle_box", "frame") for axle in (1, 2)),
 )
 """Places of vertical accelerometers: axle boxes of the measured bogie, its frame above the axles or
-at its centre, the body above the bogie; axles and sides as in ``CORNERS``."""
+at its centre, the body above the bogie; axles and sides as in ``CORNERS``. One in the middle
+measures the mean of a left and a right one."""
 ADDITIONS: dict[str, tuple[str, ...]] = {
     "frame_sway": ("y_1", "y_2"),
     "frame_yaw": ("chi_1", "chi_2"),
     "body_yaw": ("chi",),
     "creep": tuple(f"{motion}_w{wheel}" for wheel in range(1, 5) for motion in ("y", "chi")),
     "torsion": ("tau_1", "tau_2"),
-    "yaw_dampers": (),
 }
 """Parts that only this vehicle may have, each with its coordinates."""
 LATERAL = ("frame_sway", "frame_yaw", "creep")

@@ -103,7 +103,8 @@ class SpatialVehicle(VehicleFamily):
     def quantities(self) -> tuple[Quantity, ...]:  # noqa: D102
         measuring = {f"{kind}_{place}" for kind in ("gain", "delay") for place in self._places[1:]}
         return (
-            *(quantity for quantity in QUANTITIES if quantity.part != "sensors"),
+            # those of yaw dampers are among its own
+            *(q for q in QUANTITIES if q.part not in ("sensors", "yaw_dampers")),
             *(
                 quantity
                 for quantity in SPATIAL_QUANTITIES

@@ -73,8 +73,8 @@ class VehicleFamily:
     parts: tuple[str, ...] = setting(
         (),
         "Parts of the vehicle in addition to rigid bodies on linear springs and dampers",
-        rule="list of bushings, rubber, guidance, longitudinal, bending, roll, other_bogie, "
-        "payload, sensors, wheelsets, axle_box_arm, air_spring",
+        rule="list of bushings, rubber, guidance, longitudinal, yaw_dampers, bending, roll, "
+        "other_bogie, payload, sensors, wheelsets, axle_box_arm, air_spring",
     )
     sensor_lateral_m: tuple[float, float, float] = setting(
         (0.0, 0.0, 0.0),

@@ -47,6 +47,8 @@ LOSS_REFERENCE_HZ = 2.7
 """Frequency at which the ladder does not change the stiffness, the middle of its band, [Hz]."""
 RAIL_LATERAL_M = 0.75
 """Half distance of the rails' centres at standard gauge [m]."""
+LEAST_DAMPING = 1e-3
+"""Damping of a yaw damper that is as good as none [N s/m]."""
 BOGIES = (("", "1", 1.0, ("a", "b")), ("other_", "2", -1.0, ("c", "d")))
 """Each bogie: prefix of its numbers, suffix of its coordinates, sign of phi, its wheelsets."""
 
@@ -216,6 +218,31 @@ def longitudinal_element(p: Mapping[str, Tensor]) -> Element:
     return Element(p["longitudinal_stiffness"], p["longitudinal_damping"])
 
 
+def yaw_damper_element(p: Mapping[str, Tensor]) -> Element:
+    """Return one yaw damper in series with its bushings."""
+    damping = p["yaw_damping"]
+    # the rate of the branch would be infinite without any damping
+    damping = torch.where(damping.abs() < LEAST_DAMPING, LEAST_DAMPING, damping)
+    return Element(
+        torch.zeros_like(damping), None, [(p["yaw_bushing"], p["yaw_bushing"] / damping)]
+    )
+
+
+def links_of(p: Mapping[str, Tensor], parts: Sequence[str]) -> list[tuple[Element, Tensor, Tensor]]:
+    """Return what links body and bogie along the train, for one side.
+
+    Each is an element with its levers below the body's and above the bogie's centre [m].
+    """
+    body, bogie = p["body_lever"], p["bogie_lever"]
+    found = []
+    if "longitudinal" in parts:
+        found.append((longitudinal_element(p), body, bogie))
+    if "yaw_dampers" in parts:
+        height = p["yaw_height"]
+        found.append((yaw_damper_element(p), body - height, bogie + height))
+    return found
+
+
 def lateral_element(p: Mapping[str, Tensor]) -> Element:
     """Return the lateral suspension between body and bogie, for one side."""
     return Element(p["lateral_stiffness"], p["lateral_damping"])
@@ -263,9 +290,7 @@ def vertical_motion(layout: Layout, p: Mapping[str, Tensor]) -> LinearSystem:
     e = dict(zip([*masses, *inputs], np.eye(len(masses) + len(inputs)), strict=True))
     forward = 1.0 if bogie == "leading" else -1.0
     vehicle = _Vehicle(p, n, parts, e)
-    acting = vehicle.suspensions()
-    if "longitudinal" in parts:
-        acting += vehicle.links(forward)
+    acting = [*vehicle.suspensions(), *vehicle.links(forward)]
     if "bending" in parts:
         acting.append(Acting(bending_element(p, layout.empty_body_kg), e["q"]))
     if "roll" in parts:
@@ -335,17 +360,17 @@ class _Vehicle:
         return acting
 
     def links(self, forward: float) -> list[Acting]:
-        """Return the longitudinal links; phi is positive if the measured bogie rises."""
+        """Return the links along the train; phi is positive if the measured bogie rises."""
         n, e = self.n, self.e
-        body_lever = forward * n["body_lever"] / n["half_pivot_distance"]
-        lever = n["bogie_lever"] / n["half_wheelbase"]
         acting = []
-        for _, i, sign, _ in BOGIES:
-            turned = e["phi"].copy()
-            if "bending" in self.parts:
-                turned += sign * n["bending_slope"] * e["q"]
-            stretch = body_lever * turned + lever * e[f"psi_{i}"]
-            acting.append(Acting(longitudinal_element(self.p), stretch))
+        for element, below_body, above_bogie in links_of(self.p, self.parts):
+            body_lever = forward * float(below_body) / n["half_pivot_distance"]
+            lever = float(above_bogie) / n["half_wheelbase"]
+            for _, i, sign, _ in BOGIES:
+                turned = e["phi"].copy()
+                if "bending" in self.parts:
+                    turned += sign * n["bending_slope"] * e["q"]
+                acting.append(Acting(element, body_lever * turned + lever * e[f"psi_{i}"]))
         return acting
 
     def rolling(self) -> list[Acting]:

@@ -15,7 +15,8 @@ times the half pivot distance L, q its first bending with the shape p and the sl
 pivots. Above the bogies the body moves by y_1 = z + phi + p q and y_2 = z - phi + p q and turns by
 phi_1 / L and phi_2 / L, phi_1 = phi + sigma q, phi_2 = phi - sigma q; F_i = kappa_si (y_i - z_i).
 gamma is the axle guidance, kappa_x the longitudinal links between body and bogie with the levers
-h_2 and h_3, their stretch r_i = h_2 phi_i / L + h_3 psi_i / a, G_i = kappa_x (h_2 / L) r_i.
+h_2 and h_3, their stretch r_i = h_2 phi_i / L + h_3 psi_i / a, G_i = kappa_x (h_2 / L) r_i. Yaw
+dampers, h_d above the links, act as further links with the levers h_2 - h_d and h_3 + h_d.
 
 Roll and sway decouple if left and right are alike, with x_i the mean of half the cross level at
 both axles, b the half distances of springs and of the rails, S_i = kappa_si b_s^2 + k_bar / 2, y
@@ -50,7 +51,7 @@ from suspnet.dynamics.vertical_motion import (
     bending_element,
     guidance_element,
     lateral_element,
-    longitudinal_element,
+    links_of,
     primary_element,
     secondary_element,
 )
@@ -86,11 +87,17 @@ def bounced(
     forward = 1.0 if layout.bogie == "leading" else -1.0
     # phi is positive if the measured bogie rises, psi if the leading axle rises: the lever of the
     # links below the body changes its sign for a trailing bogie.
-    p = {**p, "body_lever": forward * p["body_lever"]}
-    link_x = longitudinal_element(p).at(omega) if "longitudinal" in layout.parts else None
+    links = [
+        (
+            element.at(omega),
+            forward * below_body / p["half_pivot_distance"],
+            above_bogie / p["half_wheelbase"],
+        )
+        for element, below_body, above_bogie in links_of(p, layout.parts)
+    ]
     # Each bogie is eliminated: it acts as a force and a stiffness under the body.
-    first = _bogie(p, "", omega, link_x, layout.parts)
-    other = _bogie(p, "other_", omega, link_x, layout.parts)
+    first = _bogie(p, "", omega, links, layout.parts)
+    other = _bogie(p, "other_", omega, links, layout.parts)
     body = _body(layout, p, omega, first, other)
     # What a place sees of the body's bounce, pitch and bending. The matrix of the body is
     # symmetric, so that one solution for each place serves the forces of all wheelsets.
@@ -236,10 +243,13 @@ def _bogie(
     p: Mapping[str, Tensor],
     which: str,
     omega: Tensor,
-    link_x: Tensor | None,
+    links: Sequence[tuple[Tensor, Tensor, Tensor]],
     parts: tuple[str, ...],
 ) -> _Bogie:
-    """Return the measured ("") or the other bogie with its bounce and pitch eliminated."""
+    """Return the measured ("") or the other bogie with its bounce and pitch eliminated.
+
+    `links` are kappa_x with h_2 / L and h_3 / a.
+    """
     kappa_p, kappa_s = (
         primary_element(p, which, parts).at(omega),
         secondary_element(p, which, parts).at(omega),
@@ -252,16 +262,13 @@ def _bogie(
     upright = kappa_p - inertia * (p["bogie_gyration"] / p["half_wheelbase"]) ** 2
     if "guidance" in parts:
         upright = upright + guidance_element(p).at(omega)
-    tilt: Tensor | float = 0.0
+    coupling: Tensor | float = 0.0
     righting: Tensor | float = 0.0
-    push: Tensor | float = 0.0
-    if link_x is not None:
-        lever = p["bogie_lever"] / p["half_wheelbase"]
-        body_lever = p["body_lever"] / p["half_pivot_distance"]
-        upright = upright + link_x * lever**2
-        tilt = link_x * lever * body_lever / upright
-        righting = link_x * body_lever * (body_lever - lever * tilt)
-        push = -tilt * kappa_p
+    for kappa_x, body_lever, lever in links:
+        upright = upright + kappa_x * lever**2
+        coupling = coupling + kappa_x * lever * body_lever
+        righting = righting + kappa_x * body_lever**2
+    tilt = coupling / upright if links else 0.0
     return _Bogie(
         link=link,
         free=free,
@@ -269,8 +276,8 @@ def _bogie(
         force=kappa_s * free,
         swing=kappa_p / upright,
         tilt=tilt,
-        upright=righting,
-        push=push,
+        upright=righting - coupling * tilt,
+        push=-tilt * kappa_p,
     )
 
 

@@ -32,12 +32,12 @@ from scipy.stats import norm
 
 from suspnet.dynamics import SpatialVehicle
 from suspnet.dynamics.quantities import LogNormal
-from suspnet.estimation.bogie_search import N_OWN, NEARLY_EXPLAINED, BogieSearch
+from suspnet.estimation.bogie_search import EQUAL, NEARLY_EXPLAINED, SEPARATE, BogieSearch
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.intervals import COMMON
 from suspnet.estimation.trip_settings import LEAST_TRIPS
-from suspnet.ground.parameters import COMPONENTS
+from suspnet.ground.parameters import COMPONENTS, PARAMETERS
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import ShortRepr
 from suspnet.spectra.bogie_trip import BogieTrip, smallest_noise
@@ -52,9 +52,9 @@ each at most): intervals without it held 45 to 57 % at a misfit of 2, and 15 to 
 
 @dataclass(frozen=True, repr=False)
 class PartsEstimate(ShortRepr):
-    """The ratio to healthy of each of ``COMPONENTS``, M_s to nominal.
+    """The ratio to healthy of each of `names`, M_s to nominal.
 
-    `covariance` (13, 13) is that of their logarithms.
+    `covariance` (n_names, n_names) is that of their logarithms.
     """
 
     values: FloatArray
@@ -62,10 +62,11 @@ class PartsEstimate(ShortRepr):
     misfit: float
     converged: bool
     level: float
+    names: tuple[str, ...] = COMPONENTS
 
     @property
     def deviations(self) -> FloatArray:
-        """Standard deviation of each logarithm, (13,), [-]."""
+        """Standard deviation of each logarithm, (n_names,), [-]."""
         return np.sqrt(np.diag(self.covariance))
 
     def as_estimate(self) -> Estimate:
@@ -73,7 +74,7 @@ class PartsEstimate(ShortRepr):
         half = norm.ppf((1 + self.level) / 2) * self.deviations
         rows = self.values[None], (self.values * np.exp(-half))[None]
         high = (self.values * np.exp(half))[None]
-        return Estimate(COMPONENTS, *rows, high, self.level, Flags.none(1))
+        return Estimate(self.names, *rows, high, self.level, Flags.none(1))
 
 
 def fit_parts(
@@ -81,8 +82,10 @@ def fit_parts(
     trip: BogieTrip,
     level: float = 0.9,
     start: FloatArray | None = None,
+    *,
+    equal: bool = False,
 ) -> PartsEstimate:
-    """Return the ratio to healthy of every part on a later trip.
+    """Return the ratio to healthy of every part on a later trip; `equal`: of every kind.
 
     `start` (13,) are ratios near it, such as those of an earlier trip: the search starts there,
     or from the healthy vehicle where that is nearer. If it does not explain the trip, it starts
@@ -93,7 +96,8 @@ def fit_parts(
     noise = bogie.noise[trip.kept(bogie.generator.sensors)]
     # far from the healthy trips' mass, as by a wrong one on the drawing, valleys differ
     mass = float(np.exp(np.log(bogie.masses).mean()))
-    fit = BogieSearch(bogie.generator, [noise], [trip], are_healthy=False, mass=mass)
+    ties = EQUAL if equal else SEPARATE
+    fit = BogieSearch(bogie.generator, [noise], [trip], are_healthy=False, mass=mass, ties=ties)
     explained = EXPLAINED * max(1.0, bogie.misfit)
     near, first = (fit.start(), 0) if start is None else (fit.nearer(start), 2)
     found = fit.narrowed(near, first).finished(NEARLY_EXPLAINED * explained)
@@ -102,8 +106,10 @@ def fit_parts(
     fit, x, misfit = found.fit, found.x, found.misfit
     unexplained = max(0.0, max(misfit, bogie.misfit) ** 2 - EXPLAINED**2)
     excess = max(1.0, misfit) ** 2 + ALIGNED**2 * fit.n_residuals * unexplained
-    covariance = COMMON**2 * fit.covariance(x, excess)[-N_OWN:, -N_OWN:]
-    return PartsEstimate(np.exp(x[-N_OWN:]), covariance, misfit, found.converged, level)
+    own = slice(fit.n_numbers, None)
+    covariance = COMMON**2 * fit.covariance(x, excess)[own, own]
+    names = PARAMETERS if equal else COMPONENTS
+    return PartsEstimate(np.exp(x[own]), covariance, misfit, found.converged, level, names)
 
 
 def healthy_search(generator: SpatialVehicle, trips: Sequence[BogieTrip]) -> BogieSearch:

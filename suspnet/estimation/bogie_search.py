@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -20,7 +20,7 @@ from torch import Tensor
 
 from suspnet.dynamics import SpatialVehicle
 from suspnet.dynamics.quantities import MASS_DEVIATION, MASS_MEAN, LogNormal
-from suspnet.ground.parameters import COMPONENTS, Direction
+from suspnet.ground.parameters import COMPONENTS, PARAMETERS, Direction
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.bogie_trip import BogieTrip, smallest_noise
 from suspnet.spectra.noise_subspace import TripNoise, trip_noise
@@ -57,7 +57,10 @@ WEAR = 0.5
 """Standard deviation of the logarithm of a part's ratio before the trip: wide, as wear is."""
 FURTHEST = 20.0
 """Largest coordinate of vehicles that are tried: logarithms of ratios, and deviations of priors."""
-N_OWN = len(COMPONENTS)
+SEPARATE = np.eye(len(COMPONENTS))
+EQUAL = np.array([[name.startswith(kind) for kind in PARAMETERS] for name in COMPONENTS], float)
+"""Changes of the logarithms of ``COMPONENTS`` with each coordinate of a later trip: each part has a
+coordinate, or all parts of a kind share one."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +68,9 @@ class BogieSearch:
     """The sum of squares of some trips: coordinates of z, then each trip's own numbers.
 
     `noises` are those of the trips' sensors as `SubspaceMisfit` takes them. Healthy trips have the
-    logarithm of their mass as their own number, others those of all parts. `mass` is what the
-    masses of the trips are expected about, the median of their prior.
+    logarithm of their mass as their own number, others those that `ties` (13, n_own) makes the
+    logarithms of all parts and the mass from, the mass last. `mass` is what the masses of the trips
+    are expected about, the median of their prior.
     """
 
     generator: SpatialVehicle
@@ -74,6 +78,7 @@ class BogieSearch:
     trips: Sequence[BogieTrip]
     are_healthy: bool
     mass: float = math.exp(MASS_MEAN)
+    ties: FloatArray = field(default_factory=SEPARATE.copy)
 
     def __post_init__(self) -> None:
         for trip in self.trips:
@@ -113,8 +118,12 @@ class BogieSearch:
         return len(self.numbers.names)
 
     @property
+    def _own_ties(self) -> FloatArray:
+        return self.ties[:, -1:] if self.are_healthy else self.ties
+
+    @property
     def _n_own(self) -> int:
-        return 1 if self.are_healthy else N_OWN
+        return len(self._own_ties.T)
 
     @property
     def tols(self) -> tuple[float, float]:
@@ -151,7 +160,11 @@ class BogieSearch:
 
     def start(self, ratios: FloatArray | None = None) -> FloatArray:
         """Return the median vehicle with the trips' own numbers; None: nothing worn."""
-        own = np.tile(self._own[0], len(self.trips)) if ratios is None else np.log(ratios)
+        if ratios is None:
+            own = np.tile(self._own[0], len(self.trips))
+        else:
+            nearest = np.linalg.lstsq(self._own_ties, np.log(ratios), rcond=None)[0]
+            own = nearest.astype(np.float64)
         return np.concatenate([np.zeros(self.n_numbers), own])
 
     def nearer(self, ratios: FloatArray) -> FloatArray:
@@ -268,7 +281,7 @@ class BogieSearch:
             bins = trip.of(self.all_bins)
             responses = self._responses(x, i, bins)
             alone = self._of(trip).channels_alone(self._rows(x, i), self.frequencies_hz[bins])[0]
-            alone = alone[:, :, self.sensors_of(trip)]
+            alone = alone[self._inputs][:, :, self.sensors_of(trip)]
             one = trip_noise(trip.spectra.at(bins), responses, alone, start)
             # bins that are left out have any noise
             matrix = torch.diag(one.densities).to(one.matrix).repeat(len(self.all_bins), 1, 1)
@@ -326,9 +339,13 @@ class BogieSearch:
 
     @cached_property
     def _inputs(self) -> list[int]:
-        """Numbers of the inputs that drive all wheelsets."""
-        alone = [name.startswith("wheelset") for name in self.generator.inputs]
-        return [i for i, own in enumerate(alone) if not own]
+        """Numbers of the inputs that drive all wheelsets and reach the sensors.
+
+        Sensors in the middle of a vehicle of equal sides measure the mean of both rails alone.
+        """
+        in_middle = all(place.endswith("_middle") for place in self._sensors)
+        alone = ("wheelset", "cross_level", "alignment") if in_middle else ("wheelset",)
+        return [i for i, name in enumerate(self.generator.inputs) if not name.startswith(alone)]
 
     @cached_property
     def _vehicles(self) -> dict[tuple[float, Direction], SpatialVehicle]:
@@ -345,8 +362,7 @@ class BogieSearch:
     def _rows(self, x: FloatArray, i: int) -> Tensor:
         """Return all columns of ratios of trip i, (1, n_columns)."""
         x = np.clip(x, -FURTHEST, FURTHEST)  # a step from afar may overflow
-        own = np.zeros(N_OWN)
-        own[-self._n_own :] = x[self.n_numbers :].reshape(len(self.trips), -1)[i]
+        own = self._own_ties @ x[self.n_numbers :].reshape(len(self.trips), -1)[i]
         numbers = self.numbers.ratios(x[None, : self.n_numbers])
         parts = torch.as_tensor(np.exp(own))[None]
         return self.generator.with_uncertain(parts, torch.as_tensor(numbers))
@@ -361,10 +377,10 @@ class BogieSearch:
     def _directions(self) -> Tensor:
         """Changes of the logarithms of the columns with each coordinate, (n, n_columns)."""
         n, columns = self.n_numbers, self.generator.uncertain_columns
-        found = torch.zeros(n + N_OWN, len(self.generator.columns), dtype=torch.float64)
+        found = torch.zeros(n + self._n_own, len(self.generator.columns), dtype=torch.float64)
         found[:n, columns] = torch.tensor(self.numbers.factor.T.copy())
-        found[n + torch.arange(N_OWN), torch.arange(N_OWN)] = 1.0
-        return torch.cat([found[:n], found[n + N_OWN - self._n_own :]])
+        found[n:, : len(COMPONENTS)] = torch.as_tensor(self._own_ties.T)
+        return found
 
     def _residuals(
         self, x: FloatArray, misfits: Sequence[SubspaceMisfit], bins: Tensor

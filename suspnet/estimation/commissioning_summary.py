@@ -47,6 +47,7 @@ PART_TITLES = {
     "rubber": "Rubber of the primary springs",
     "guidance": "Axle guidance",
     "longitudinal": "Longitudinal links between car body and bogie",
+    "yaw_dampers": "Yaw dampers between car body and bogie",
     "bending": "First bending of the car body",
     "roll": "Roll, cross level and lateral places",
     "other_bogie": "The bogie that is not measured",

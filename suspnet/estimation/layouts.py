@@ -18,7 +18,7 @@ from torch import Tensor
 from suspnet.dynamics import SpatialVehicle
 from suspnet.dynamics.quantities import MASS_DEVIATION, MASS_MEAN, LogNormal
 from suspnet.dynamics.track import TrackSpectrum, acceleration_density, track_spectrum
-from suspnet.estimation.bogie_search import N_OWN, WEAR
+from suspnet.estimation.bogie_search import WEAR
 from suspnet.estimation.bogie_trips import HIGH_HZ, LOW_HZ
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.ground.settings import check_number
@@ -144,7 +144,7 @@ class _Trip:
         vehicle = replace(generator, sensors=places, parts=parts, distribution=None)
         prior = LogNormal.prior(vehicle._groups, vehicle.quantities).without(NUISANCES)
         vehicle = replace(vehicle, distribution=prior)
-        medians = vehicle.complete(torch.ones(1, N_OWN, dtype=torch.float64)).clone()
+        medians = vehicle.complete(torch.ones(1, len(COMPONENTS), dtype=torch.float64)).clone()
         if wheelset_share:
             nominal = dict(zip(vehicle.columns, vehicle.nominal_values(), strict=True))
             for name in NUISANCES[2:]:
@@ -172,13 +172,13 @@ class _Trip:
         """Return the largest bounds with all other numbers known, and with them learnt, (13,)."""
         assert self.vehicle.distribution is not None
         prior = np.linalg.inv(np.array(self.vehicle.distribution.covariance))
-        n, mass = len(prior), len(prior) + N_OWN - 1
+        n, mass = len(prior), len(prior) + len(COMPONENTS) - 1
         for ratio in HEALTHY_MASSES:
             one = self._information({COMPONENTS[-1]: ratio})
             # each healthy trip has an unknown mass of its own
             shared = one[:n, mass] / np.sqrt(one[mass, mass] + MASS_DEVIATION**-2)
             prior += n_healthy / len(HEALTHY_MASSES) * (one[:n, :n] - np.outer(shared, shared))
-        own = np.diag([WEAR**-2] * (N_OWN - 1) + [MASS_DEVIATION**-2])
+        own = np.diag([WEAR**-2] * (len(COMPONENTS) - 1) + [MASS_DEVIATION**-2])
         known, learnt = [], []
         for part in COMPONENTS[:-1]:
             whole = self._information({part: WORN, COMPONENTS[-1]: np.exp(MASS_MEAN)})
@@ -193,7 +193,7 @@ class _Trip:
         rows = self.medians.clone()
         for name, ratio in ratios.items():
             rows[0, COMPONENTS.index(name)] = ratio
-        columns = [*self.vehicle.uncertain_columns, *range(N_OWN)]
+        columns = [*self.vehicle.uncertain_columns, *range(len(COMPONENTS))]
         directions = torch.eye(len(self.vehicle.columns), dtype=torch.float64)[columns]
         responses, changes = self.vehicle.channels_along(rows, self.frequencies_hz, directions)
         n = self._n_track

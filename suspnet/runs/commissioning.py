@@ -24,7 +24,7 @@ from suspnet.recordings.manifest import CHANNELS
 from suspnet.spectra.estimates import EstimateSettings
 
 log = logging.getLogger(__name__)
-FAMILY = tuple(part for part in PARTS if part != "air_spring")
+FAMILY = tuple(part for part in PARTS if part not in ("air_spring", "yaw_dampers"))
 """Parts of the vehicle that is commissioned if the configuration names none."""
 
 

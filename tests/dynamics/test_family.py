@@ -135,12 +135,16 @@ def naive(generator, ratios, frequency_hz):
                 own = math.sqrt(abs(n["wheelset_share"])) * np.eye(4)[wheelset]
                 track = np.array([delay, *own, delay * side * b_p / 0.75])
                 drive += kappa_p / 2 * np.outer(stretch, track)
-            if "longitudinal" in parts:
+            damper, bushing = n["yaw_damping"] * s, n["yaw_bushing"]
+            along = {
+                "longitudinal": (n["longitudinal_stiffness"] + n["longitudinal_damping"] * s, 0.0),
+                "yaw_dampers": (damper * bushing / (damper + bushing), n["yaw_height"]),
+            }
+            for kappa_x, height in (along[part] for part in parts if part in along):
                 link = np.zeros(11)
-                link[1], link[first + 1] = n["body_lever"], n["bogie_lever"]
+                link[1], link[first + 1] = n["body_lever"] - height, n["bogie_lever"] + height
                 if "bending" in parts:
-                    link[3] = n["body_lever"] * n["bending_slope"] / place
-                kappa_x = n["longitudinal_stiffness"] + n["longitudinal_damping"] * s
+                    link[3] = link[1] * n["bending_slope"] / place
                 system += kappa_x * np.outer(link, link)
         if "guidance" in parts:
             gamma = n["guidance_stiffness"] * n["healthy_k_p"]

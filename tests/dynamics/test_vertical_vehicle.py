@@ -203,7 +203,7 @@ def test_prior_is_about_nominal_and_reaches_0_of_what_may_be_absent():
         below = stats.norm.cdf(-log_median / quantity.deviation) if offset else 0.0
         assert (column < 0).mean() == pytest.approx(below, abs=0.032 if offset else 0.0)
         assert (np.abs(column).min() < 0.01) >= bool(offset)
-    assert prior.offsets.sum() == 12
+    assert prior.offsets.sum() == 14
 
 
 @pytest.mark.parametrize("n_deviations", [-2.0, -1.0, 0.0, 0.5, 3.0])
