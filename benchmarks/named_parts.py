@@ -217,7 +217,7 @@ def read_train(name, seed, options, folder):
             commissioned, mass = commission(family, healthy)
             took = time.perf_counter() - begun
             print(f"{name}, {seed}: {took:.0f} s, misfit {commissioned.misfit:.2f}", flush=True)
-        found = commissioned.estimate(trip)
+        found = suspnet.fit_parts(commissioned, trip)
         head = {"case": name, "seed": seed, "trip": i, "wear": kind, "level_percent": level}
         head |= {"speed_m_per_s": run.speed_m_per_s, "direction": run.direction}
         head |= {"healthy_misfit": commissioned.misfit, "misfit": found.misfit}

@@ -25,7 +25,7 @@ from tabulate import tabulate
 from vehicles import AM96
 
 from suspnet.dynamics import SpatialVehicle
-from suspnet.estimation.bogie_fit import commission_bogie
+from suspnet.estimation.bogie_fit import commission_bogie, fit_parts
 from suspnet.estimation.bogie_trips import PARTS_OF_BOGIE, bogie_trip
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.recordings.manifest_files import read_manifest
@@ -61,7 +61,7 @@ def read(options, seed, folder):
     start = time.perf_counter()
     commissioned = commission_bogie(vehicle, trips[: options.healthy])
     between = time.perf_counter()
-    found = [commissioned.estimate(trip) for trip in trips[options.healthy :]]
+    found = [fit_parts(commissioned, trip) for trip in trips[options.healthy :]]
     each = (time.perf_counter() - between) / len(found)
     truth = ratios[options.healthy :]
     errors = np.log([one.values for one in found]) - np.log(truth)

@@ -81,7 +81,8 @@ def test_feature_set_learns_and_is_stored(quarter_car, task, tmp_path, monkeypat
     "name", sorted(set(re.findall(r"`(_?[A-Z]+(?:_[A-Z]+)*)`", PAGE)) - {"NAME"})
 )
 def test_names_of_the_page_are_those_of_the_code(name):
-    files = [*(ROOT / "suspnet").rglob("*.py"), ROOT / "benchmarks" / "docs_tables.py"]
+    files = [*(ROOT / "suspnet").rglob("*.py"), *(ROOT / "tests").glob("*.py")]
+    files += (ROOT / "benchmarks").glob("*.py")
     assert any(
         re.search(rf"^{name}\b.*= ", file.read_text(encoding="utf-8"), re.MULTILINE)
         for file in files

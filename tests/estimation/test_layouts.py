@@ -11,7 +11,7 @@ from vehicles import AM96
 from suspnet.dynamics import SpatialVehicle
 from suspnet.dynamics.quantities import MASS_DEVIATION, MASS_MEAN
 from suspnet.estimation import layouts
-from suspnet.estimation.bogie_fit import commission_bogie
+from suspnet.estimation.bogie_fit import commission_bogie, fit_parts
 from suspnet.estimation.bogie_search import WEAR, BogieSearch
 from suspnet.estimation.layouts import LAYOUTS, _Trip, layout_bounds, spectral_information
 from suspnet.ground.parameters import COMPONENTS
@@ -215,7 +215,7 @@ def test_other_sensors_commission_a_bogie_and_find_its_worn_parts(name, monkeypa
 
     trips = [trip(drawn(vehicle, rows(mass), i), 70.0) for i, mass in enumerate(MASSES)]
     commissioned = commission_bogie(vehicle, trips)
-    estimate = commissioned.estimate(trip(drawn(vehicle, rows(1.05, **worn), 51), 70.0))
+    estimate = fit_parts(commissioned, trip(drawn(vehicle, rows(1.05, **worn), 51), 70.0))
     assert commissioned.converged
     assert estimate.converged
     assert estimate.misfit < 1.3

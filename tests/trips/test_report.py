@@ -18,7 +18,7 @@ from suspnet.maintenance import Acknowledgement, Alarm, Cause, Life, Severity
 from suspnet.maintenance.alarms import Watched
 from suspnet.maintenance.series import make_series, series_of
 from suspnet.maintenance.state import State
-from suspnet.report import figures, report
+from suspnet.report import figures, report, trip_figures
 from suspnet.report.failing_sensors import dead_words, failing_sensors, failing_words
 from suspnet.report.language import speaking
 from suspnet.report.maintenance_figures import health_trend
@@ -164,7 +164,7 @@ def test_hostile_names_are_escaped(tmp_path):
         trip(0, quality=quality, flags=HOSTILE, **fields),
         trip(1, missing=True, **(fields | {"reason": HOSTILE})),
     ]
-    drawn = {HOSTILE: small_figure(), "signals": figures.trip_signals(results[0])}
+    drawn = {HOSTILE: small_figure(), "signals": trip_figures.trip_signals(results[0])}
     text, page = write(tmp_path / "r.html", results, drawn, {HOSTILE: HOSTILE}, HOSTILE)
     assert page.named("script") == []
     assert "<script" not in text.lower()
