@@ -17,8 +17,8 @@ from cells import Parser, Row
 from tabulate import tabulate
 
 from suspnet import Problem, TrainedModel, load_model
-from suspnet.estimation.feature_information import feature_loss
-from suspnet.estimation.problem import TEST
+from suspnet.bounds.feature_information import feature_loss
+from suspnet.curves.problem import TEST
 from suspnet.ground.storage import read_json, write_atomically
 from suspnet.runs.tables import in_digits, records_csv
 

@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from served_fleet import FAILED, fill, name_of, served
 
-from suspnet.web.access import Access
+from suspnet.depot.web.access import Access
 
 TOKEN = "a-token-of-programs-for-tests"
 EACH = 60

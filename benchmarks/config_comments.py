@@ -11,12 +11,12 @@ from suspnet.cli.program import THREADS
 from suspnet.cli.reference import filled
 from suspnet.cli.serve import ServeSettings
 from suspnet.cli.simulate import WORKERS
+from suspnet.curves.components import CurveFeatures
+from suspnet.curves.extraction import PeakFeatures
+from suspnet.depot.live.replay import Pace, Replay
 from suspnet.ground.settings import Declared, settings_of
-from suspnet.live.replay import Pace, Replay
-from suspnet.simulation.fleet import Trains
-from suspnet.simulation.signals import Sensor
-from suspnet.spectra.components import CurveFeatures
-from suspnet.spectra.extraction import PeakFeatures
+from suspnet.trains.simulation.fleet import Trains
+from suspnet.trains.simulation.signals import Sensor
 
 OF_PROGRAMS: dict[str, list[Declared]] = {
     "replay": [one for class_ in (Replay, Pace) for one in settings_of(class_).values()],

@@ -19,9 +19,9 @@ import numpy as np
 from history import size, timed, trips
 
 from suspnet.ground.records import TripResult
-from suspnet.history import History
-from suspnet.report.board import BoardSettings
-from suspnet.runs.maintenance import write_maintenance
+from suspnet.trains.history import History
+from suspnet.trains.jobs.maintenance import write_maintenance
+from suspnet.trains.pages.board import BoardSettings
 
 
 def fleet(n_suspensions: int, n_trips: int, seed: int) -> Iterator[list[TripResult]]:

@@ -26,13 +26,13 @@ from tabulate import tabulate
 
 from suspnet.cli.config_files import read_comments
 from suspnet.cli.kinds import read_vehicles
-from suspnet.dynamics import PARAMETERS, QuarterCar
-from suspnet.dynamics.quantities import PARTS, QUANTITIES
 from suspnet.ground.storage import write_atomically
 from suspnet.runs import fair, readings
-from suspnet.runs.paper import impact_rows
 from suspnet.runs.tables import MODEL_TITLES, table6_caption, table6_markdown
 from suspnet.runs.tube import tube_markdown
+from suspnet.trains.jobs.paper import impact_rows
+from suspnet.vehicle import PARAMETERS, QuarterCar
+from suspnet.vehicle.quantities import PARTS, QUANTITIES
 
 ROOT = Path(__file__).parents[1]
 RESULTS = Path(__file__).parent / "results"

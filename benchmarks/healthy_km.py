@@ -4,7 +4,7 @@ python benchmarks/healthy_km.py [--cases all none ...] [--seeds 0 1 2]
 
 For each case and seed a model is commissioned on healthy trips of a train (rich_train.py), reads
 more of them, laden at random, and their estimates, drawn with replacement, make histories of
-1,000,000 km. Alarms are those of `suspnet.maintenance`. Writes healthy_km.csv.
+1,000,000 km. Alarms are those of `suspnet.trains.maintenance`. Writes healthy_km.csv.
 """
 
 import csv
@@ -28,8 +28,8 @@ from mismatch import (
 )
 from mixed_fleet import KM_PER_TRIP, alarms_of, with_loads
 
+from suspnet.curves.speeds import Speeds
 from suspnet.estimation.estimate import Estimate
-from suspnet.spectra.speeds import Speeds
 
 KM_PER_HISTORY = 1_000_000.0
 DRAWN_FROM = 10_000

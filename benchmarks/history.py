@@ -21,11 +21,11 @@ from typing import TypeVar
 import numpy as np
 import sqlalchemy as sql
 
-from suspnet.dynamics import PARAMETERS
 from suspnet.ground.parameters import Cause, Severity
 from suspnet.ground.records import Place, Quality, TripResult
-from suspnet.history import History
-from suspnet.maintenance.alarms import Alarm
+from suspnet.trains.history import History
+from suspnet.trains.maintenance.alarms import Alarm
+from suspnet.vehicle import PARAMETERS
 
 HALF_WIDTHS = {"k_p": 0.001, "c_p": 0.005, "k_s": 0.001, "c_s": 0.003, "M_s": 0.001}
 HEALTHY = {"k_p": 1.3e6, "c_p": 3.7e3, "k_s": 0.69e6, "c_s": 22.6e3, "M_s": 6300.0}

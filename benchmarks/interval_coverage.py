@@ -25,8 +25,8 @@ from tabulate import tabulate
 
 from suspnet.cli import program  # noqa: F401 - makes our resolvers known to Hydra
 from suspnet.cli.kinds import build
+from suspnet.curves.problem import Problem
 from suspnet.estimation.checkpoint import load_model
-from suspnet.estimation.problem import Problem
 from suspnet.runs.train import train
 
 ROOT = Path(__file__).parents[1]

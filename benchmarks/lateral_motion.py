@@ -21,10 +21,10 @@ import torch
 from torch import Tensor
 
 from suspnet.cli.kinds import read_vehicles
-from suspnet.dynamics.spatial_numbers import ADDITIONS
-from suspnet.dynamics.spatial_vehicle import SpatialVehicle
-from suspnet.dynamics.track import acceleration_density, track_spectrum
 from suspnet.ground.parameters import COMPONENTS
+from suspnet.vehicle.spatial_numbers import ADDITIONS
+from suspnet.vehicle.spatial_vehicle import SpatialVehicle
+from suspnet.vehicle.track import acceleration_density, track_spectrum
 
 BASE = ("bushings", "rubber", "guidance", "longitudinal", "bending", "roll")
 SWAY_AND_YAW = ("frame_sway", "frame_yaw", "body_yaw")

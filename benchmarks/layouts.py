@@ -22,11 +22,11 @@ from tabulate import tabulate
 from suspnet import LayoutBounds, SpatialVehicle, layout_bounds
 from suspnet.cli import program  # noqa: F401 - makes our resolvers known to Hydra
 from suspnet.cli.kinds import build
-from suspnet.estimation.bogie_trips import PARTS_OF_BOGIE
-from suspnet.estimation.layouts import LAYOUTS
 from suspnet.ground.parameters import BODY_MASS, COMPONENTS, PARAMETERS, kind_of
 from suspnet.ground.storage import write_atomically
 from suspnet.runs.tables import records_csv
+from suspnet.trains.identification.bogie_trips import PARTS_OF_BOGIE
+from suspnet.trains.identification.layouts import LAYOUTS
 
 ROOT = Path(__file__).parents[1]
 RESULTS = Path(__file__).parent / "results"

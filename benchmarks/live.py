@@ -34,18 +34,18 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from suspnet.depot.live.journal import Journal
+from suspnet.depot.live.monitor import Monitor
+from suspnet.depot.live.replay import Replay
+from suspnet.depot.live.results import Results
+from suspnet.depot.live.sections import LiveSettings
+from suspnet.depot.live.suspension import LiveSuspension
 from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.history import History
-from suspnet.live.journal import Journal
-from suspnet.live.monitor import Monitor
-from suspnet.live.replay import Replay
-from suspnet.live.results import Results
-from suspnet.live.sections import LiveSettings
-from suspnet.live.suspension import LiveSuspension
-from suspnet.recordings.frames import Frame, encode
-from suspnet.recordings.manifest_files import ManifestFile
-from suspnet.trips.fleet import FleetSettings
+from suspnet.trains.history import History
+from suspnet.trains.jobs.fleet import FleetSettings
+from suspnet.trains.recordings.frames import Frame, encode
+from suspnet.trains.recordings.manifest_files import ManifestFile
 
 TRAIN, TIME_NS, SEQUENCE = "987654", 1234567890123456789, 9876543
 """What stands in the place of a frame's own values, of the same length, in a template."""

@@ -38,7 +38,7 @@ def prepare(n_inputs: int, n: int, group: str, path: Path) -> None:
     from hydra import compose, initialize_config_dir
 
     from suspnet.cli.kinds import build
-    from suspnet.estimation.problem import TEST, TRAIN, Problem
+    from suspnet.curves.problem import TEST, TRAIN, Problem
     from suspnet.runs.fit import scalings
 
     with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):

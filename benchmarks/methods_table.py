@@ -21,13 +21,13 @@ from tabulate import tabulate
 
 from suspnet.cli.kinds import read_protocol, read_vehicles
 from suspnet.cli.plugins import load_plugins
-from suspnet.dynamics import QuarterCar
-from suspnet.estimation.problem import TEST, TRAIN, Problem
+from suspnet.curves.curves import CurveSettings
+from suspnet.curves.problem import TEST, TRAIN, Problem
 from suspnet.ground.storage import write_atomically
 from suspnet.learning import METHODS
 from suspnet.runs.tables import MODEL_TITLES, in_digits, records_csv
 from suspnet.runs.train import train
-from suspnet.spectra.curves import CurveSettings
+from suspnet.vehicle import QuarterCar
 
 PEERS = {
     "nearest neighbours": lambda: KNeighborsRegressor(5, weights="distance"),

@@ -34,25 +34,25 @@ from tabulate import tabulate
 
 from suspnet.cli import program  # noqa: F401 - makes our resolvers known to Hydra
 from suspnet.cli.kinds import build
-from suspnet.dynamics.quantities import LogNormal
-from suspnet.estimation.commissioning import Commissioned, commission
+from suspnet.curves.cross_spectra import CrossSpectra
+from suspnet.curves.estimates import EstimateSettings
+from suspnet.curves.problem import TRAIN, Problem
+from suspnet.curves.speeds import NoEstimateError, Speeds
 from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.from_spectra import estimate_with_noise
-from suspnet.estimation.healthy_misfit import HealthySpectra
-from suspnet.estimation.problem import TRAIN, Problem
 from suspnet.estimation.relative_velocity import NOTE
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import FORWARD, Direction
-from suspnet.recordings.manifest_files import find_manifests
-from suspnet.runs.commissioning import FAMILY as FAMILY_PARTS
-from suspnet.runs.commissioning import commission_folder
 from suspnet.runs.fit import fit
 from suspnet.runs.predict import calibrated, with_unexplained
-from suspnet.simulation import Fleet
-from suspnet.spectra.cross_spectra import CrossSpectra
-from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.speeds import NoEstimateError, Speeds
+from suspnet.trains.fits.commissioning import Commissioned, commission
+from suspnet.trains.fits.healthy_misfit import HealthySpectra
+from suspnet.trains.jobs.commissioning import FAMILY as FAMILY_PARTS
+from suspnet.trains.jobs.commissioning import commission_folder
+from suspnet.trains.recordings.manifest_files import find_manifests
+from suspnet.trains.simulation import Fleet
+from suspnet.vehicle.quantities import LogNormal
 
 RESULTS = TESTS.parent / "benchmarks" / "results"
 NOMINAL, COMMISSIONED = READINGS = ("nominal", "commissioned")

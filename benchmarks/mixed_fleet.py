@@ -5,8 +5,8 @@ python benchmarks/mixed_fleet.py [--seeds 0 1 2]
 Each train has the family's effects and its own laws of the payload (rich_train.py); it runs forward
 and in reverse in turn, laden at random. A vehicle is commissioned on healthy trips of both
 directions and has a model for each. After 20 healthy trips one parameter changes; alarms and
-severities are those of `suspnet.maintenance`, which sees the trips in the order of mileage. Writes
-mixed_fleet.csv.
+severities are those of `suspnet.trains.maintenance`, which sees the trips in the order of mileage.
+Writes mixed_fleet.csv.
 """
 
 import csv
@@ -32,13 +32,13 @@ from mismatch import (
 from rich_train import FAMILY
 from verdicts import LOADS, NAMES, due, severities
 
-from suspnet.dynamics import PARAMETERS
+from suspnet.curves.speeds import Speeds
 from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.parameters import DEFAULT_LIMITS, DIRECTIONS, REVERSE, Direction, Severity
-from suspnet.maintenance.alarms import Alarm, watch
-from suspnet.maintenance.series import make_series
-from suspnet.spectra.speeds import Speeds
+from suspnet.trains.maintenance.alarms import Alarm, watch
+from suspnet.trains.maintenance.series import make_series
+from suspnet.vehicle import PARAMETERS
 
 CASE = Case((*FAMILY, "payload"))
 N_HEALTHY, KM_PER_TRIP, N_LAST = 20, 2000.0, 5

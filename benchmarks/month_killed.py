@@ -45,11 +45,11 @@ from live_frames import Mosquitto
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import OK, Key, Quality, TripResult
-from suspnet.history import History
-from suspnet.recordings.recording import Recording
-from suspnet.simulation.fleet import Fleet
-from suspnet.simulation.writing import time_between
-from suspnet.trips import trip
+from suspnet.trains.history import History
+from suspnet.trains.recordings.recording import Recording
+from suspnet.trains.simulation.fleet import Fleet
+from suspnet.trains.simulation.writing import time_between
+from suspnet.trains.trips import trip
 
 RATES = [
     f"fleet.sensors.{n}.rate_hz={r}" for n, r in (("axle_box", 400), ("bogie", 250), ("body", 250))

@@ -29,7 +29,7 @@ sys.path.insert(0, str(TESTS))
 from blind_train import COMPONENTS, PAIRS, SIDE_NAMES, Run, Track, Train, record, write_trip  # noqa: E402
 
 import suspnet  # noqa: E402
-from suspnet.estimation.bogie_trips import PARTS_OF_BOGIE  # noqa: E402
+from suspnet.trains.identification.bogie_trips import PARTS_OF_BOGIE  # noqa: E402
 
 RESULTS = TESTS.parent / "benchmarks" / "results"
 FAMILY = PARTS_OF_BOGIE  # as the programs have it

@@ -4,8 +4,8 @@ python benchmarks/named_parts.py --case plain --seeds 0 1 2 --healthy_trips 60 .
 python benchmarks/named_parts_km.py
 
 The healthy trips of named_parts.csv, drawn with replacement, make histories of 1,000,000 km for
-each case and train. Alarms are those of `suspnet.maintenance` over all thirteen outputs; accused
-parts are those of single trips. Writes named_parts_km.csv.
+each case and train. Alarms are those of `suspnet.trains.maintenance` over all thirteen outputs;
+accused parts are those of single trips. Writes named_parts_km.csv.
 """
 
 import csv
@@ -17,8 +17,8 @@ from mixed_fleet import KM_PER_TRIP
 from named_parts import COMPONENTS, RESULTS, Z90, by_trip
 
 from suspnet.ground.parameters import DEFAULT_LIMITS
-from suspnet.maintenance.alarms import watch
-from suspnet.maintenance.series import make_series
+from suspnet.trains.maintenance.alarms import watch
+from suspnet.trains.maintenance.series import make_series
 
 KM_PER_HISTORY = 1_000_000.0
 LEAST_TRIPS = 30

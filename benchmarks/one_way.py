@@ -9,7 +9,7 @@ Ways:
 - transfer functions: `VerticalVehicle`, from axle box to frame to body, means of pairs;
 - each part: `SpatialVehicle` and spectral matrices, twelve separate ratios, of which the one of a
   kind is the weighted mean;
-- tied: the same with one ratio of each kind (``EQUAL`` of `suspnet.estimation.bogie_search`), from
+- tied: the same with one ratio of each kind (``EQUAL`` of `suspnet.trains.fits.bogie_search`), from
   all sensors, or from the means of pairs as sensors in the middle of a vehicle of equal sides.
 
 Every later trip and kind goes to one_way.csv, where the rows of the same case, minutes, speeds and
@@ -30,22 +30,22 @@ from scipy.stats import norm
 from tabulate import tabulate
 
 import suspnet
-from suspnet.estimation.bogie_fit import commission_bogie, fit_parts
-from suspnet.estimation.bogie_trips import SEGMENT_S, bogie_trip, bogie_vehicle
-from suspnet.estimation.commissioning import Commissioned
-from suspnet.estimation.healthy_trips import read_healthy
-from suspnet.estimation.information import shifts
+from suspnet.bounds.information import shifts
+from suspnet.curves.problem import CALIBRATE, Problem
+from suspnet.curves.welch import Welch
 from suspnet.estimation.intervals import COMMON
-from suspnet.estimation.problem import CALIBRATE, Problem
 from suspnet.estimation.refine import refine
 from suspnet.ground.parameters import COMPONENTS, PARAMETERS
 from suspnet.ground.tensors import threads
-from suspnet.runs.commissioning import FAMILY, commission_trips
 from suspnet.runs.predict import N_COST, WORN
-from suspnet.spectra.bogie_trip import BogieTrip
-from suspnet.spectra.segments import sensor_segments
-from suspnet.spectra.subspace import SpectralMatrix
-from suspnet.spectra.welch import Welch
+from suspnet.trains.fits.bogie_fit import commission_bogie, fit_parts
+from suspnet.trains.fits.commissioning import Commissioned
+from suspnet.trains.identification.bogie_trips import SEGMENT_S, bogie_trip, bogie_vehicle
+from suspnet.trains.identification.healthy_trips import read_healthy
+from suspnet.trains.jobs.commissioning import FAMILY, commission_trips
+from suspnet.trains.spectra.bogie_trip import BogieTrip
+from suspnet.trains.spectra.segments import sensor_segments
+from suspnet.trains.spectra.subspace import SpectralMatrix
 
 LAYOUTS = {
     "one side": PAIRS[::2],

@@ -24,10 +24,10 @@ from scipy.signal import csd
 from suspnet.ground.parameters import BOGIE_PARTS, kind_of, place_words
 from suspnet.ground.storage import write_atomically
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.recording import load_recording
-from suspnet.report.trend import LIMIT_COLOURS
-from suspnet.report.trip_figures import CHANNEL_TITLES
+from suspnet.trains.pages.trend import LIMIT_COLOURS
+from suspnet.trains.pages.trip_figures import CHANNEL_TITLES
+from suspnet.trains.recordings.manifest_files import read_manifest
+from suspnet.trains.recordings.recording import load_recording
 
 PICTURE = Path(__file__).parents[1] / "docs" / "overview.png"
 SHOWN_S = 6.0

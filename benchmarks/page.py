@@ -28,12 +28,12 @@ from depot import fleet
 from flask.testing import FlaskClient
 from waitress.server import create_server
 
+from suspnet.depot.web.app import create_app
 from suspnet.ground.records import TripCurves, TripResult
 from suspnet.ground.storage import write_atomically
-from suspnet.history import History
-from suspnet.history.arrays import N_NEWEST
-from suspnet.report.board import Board, BoardSettings, Refresher
-from suspnet.web.app import create_app
+from suspnet.trains.history import History
+from suspnet.trains.history.arrays import N_NEWEST
+from suspnet.trains.pages.board import Board, BoardSettings, Refresher
 
 RESULTS = Path(__file__).parent / "results" / "page.csv"
 TODAY = "2025-10-28"

@@ -24,13 +24,13 @@ from rich_trips import SENSORS
 from tabulate import tabulate
 from vehicles import AM96
 
-from suspnet.dynamics import SpatialVehicle
-from suspnet.estimation.bogie_fit import commission_bogie, fit_parts
-from suspnet.estimation.bogie_trips import PARTS_OF_BOGIE, bogie_trip
 from suspnet.ground.parameters import COMPONENTS
-from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.recording import load_recording
-from suspnet.simulation import Fleet
+from suspnet.trains.fits.bogie_fit import commission_bogie, fit_parts
+from suspnet.trains.identification.bogie_trips import PARTS_OF_BOGIE, bogie_trip
+from suspnet.trains.recordings.manifest_files import read_manifest
+from suspnet.trains.recordings.recording import load_recording
+from suspnet.trains.simulation import Fleet
+from suspnet.vehicle import SpatialVehicle
 
 RESULTS = TESTS.parent / "benchmarks" / "results"
 N_WORN = {"one part": 1, "two parts": 2, "all twelve": 12}

@@ -24,12 +24,11 @@ from torch import Tensor
 
 from suspnet.cli import program  # noqa: F401 - makes our resolvers known to Hydra
 from suspnet.cli.kinds import read_vehicles
-from suspnet.dynamics import PARAMETERS, Vehicle
+from suspnet.curves.problem import BLOCK, TEST, Problem
+from suspnet.curves.protocols import BODY_MASS_COLUMN, Task
 from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.estimate import KINDS
 from suspnet.estimation.from_curves import estimate_curves
-from suspnet.estimation.problem import BLOCK, TEST, Problem
-from suspnet.estimation.protocols import BODY_MASS_COLUMN, Task
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.learning.metrics import covers, interval_scores
@@ -37,6 +36,7 @@ from suspnet.runs.evaluate import FreshCurves, find_runs
 from suspnet.runs.predict import Outcome, predict_stream
 from suspnet.runs.scores import LEVEL, label
 from suspnet.runs.tables import MODEL_TITLES
+from suspnet.vehicle import PARAMETERS, Vehicle
 
 N_SLICES = 5
 LOW, HIGH = 0.3, 2.5

@@ -23,10 +23,10 @@ from scipy.stats import binomtest
 from tabulate import tabulate
 from wear_histories import KINDS, WearHistory, make_histories
 
-from suspnet.maintenance.degradation import FleetPrior
-from suspnet.maintenance.first_passage import HORIZON_KM
-from suspnet.maintenance.fleet import learn_fleet
-from suspnet.maintenance.life import Life, predict_life
+from suspnet.trains.maintenance.degradation import FleetPrior
+from suspnet.trains.maintenance.first_passage import HORIZON_KM
+from suspnet.trains.maintenance.fleet import learn_fleet
+from suspnet.trains.maintenance.life import Life, predict_life
 
 RESULTS = Path(__file__).parent / "results"
 LEVEL = 0.8

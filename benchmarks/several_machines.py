@@ -47,17 +47,17 @@ from fault_injection import ended, start
 from live import Template
 from live_frames import Mosquitto
 
+from suspnet.depot.live.broker import Broker
+from suspnet.depot.live.replay import Replay
+from suspnet.depot.live.sinks import MqttSink
 from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import DEFAULT_LIMITS
 from suspnet.ground.records import Place, TripResult
-from suspnet.history import History
-from suspnet.live.broker import Broker
-from suspnet.live.replay import Replay
-from suspnet.live.sinks import MqttSink
-from suspnet.maintenance.change import ChangeSettings
-from suspnet.trips.earlier import keep_trips
-from suspnet.trips.trip import evaluate_trip
+from suspnet.trains.history import History
+from suspnet.trains.maintenance.change import ChangeSettings
+from suspnet.trains.trips.earlier import keep_trips
+from suspnet.trains.trips.trip import evaluate_trip
 
 TICKS = os.sysconf("SC_CLK_TCK")
 FRAMES_S = 4

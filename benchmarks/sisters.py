@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from suspnet.ground.types import FloatArray
-from suspnet.maintenance.sisters import CORRELATION, Sister, SisterSettings, sister_alarms
+from suspnet.trains.maintenance.sisters import CORRELATION, Sister, SisterSettings, sister_alarms
 
 GAP_KM, N_SISTERS, Z = 2000.0, 4, 1.645
 SPREAD = {"k_p": 0.0006, "c_p": 0.003}

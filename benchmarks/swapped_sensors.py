@@ -24,8 +24,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from blind_train import Track, Train, record, write_trip
 
 import suspnet
-from suspnet.estimation.swapped_sensors import NEARLY, check_end, check_order, likely_orders
-from suspnet.recordings.errors import TripError
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.sensors.swapped_sensors import NEARLY, check_end, check_order, likely_orders
 
 EXCHANGES = ((0, 1), (2, 3), (4, 5), (0, 2), (1, 3), (2, 4))
 ONE_PART = [(part, 62) for part in range(12)] + [(part, 30) for part in range(0, 12, 3)]

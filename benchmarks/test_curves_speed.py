@@ -11,9 +11,9 @@ from scipy.optimize import curve_fit
 from scipy.signal import find_peaks, savgol_filter
 from vehicles import AM96
 
-from suspnet.dynamics import QuarterCar
-from suspnet.estimation.problem import BLOCK, TRAIN, Problem
-from suspnet.spectra.curves import CurveSettings
+from suspnet.curves.curves import CurveSettings
+from suspnet.curves.problem import BLOCK, TRAIN, Problem
+from suspnet.vehicle import QuarterCar
 
 PEAKS = ["secondary", "primary_lower", "primary_upper"]
 WHOLE_GRID = 364_816

@@ -8,9 +8,9 @@ import pytest
 import torch
 from vehicles import AM96
 
-from suspnet.dynamics.quantities import PARTS
-from suspnet.dynamics.spatial_numbers import ADDITIONS
-from suspnet.dynamics.spatial_vehicle import SpatialVehicle
+from suspnet.vehicle.quantities import PARTS
+from suspnet.vehicle.spatial_numbers import ADDITIONS
+from suspnet.vehicle.spatial_vehicle import SpatialVehicle
 
 FREQUENCIES = torch.linspace(0.3, 20.0, 170, dtype=torch.float64)
 N_VEHICLES, N_DIRECTIONS = 200, 50

@@ -16,14 +16,14 @@ from protocols import shipped_protocol
 from scipy.signal import csd, resample_poly, welch
 from trip_fixtures import AM96, SPEED, NoLog, write_trips
 
-from suspnet.dynamics import VerticalVehicle
+from suspnet.curves.estimates import EstimateSettings
+from suspnet.curves.problem import Problem
 from suspnet.estimation.checkpoint import save_model
-from suspnet.estimation.problem import Problem
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.learning import MSVR
 from suspnet.runs.fit import fit
-from suspnet.spectra.estimates import EstimateSettings
-from suspnet.trips.trip import evaluate_trip
+from suspnet.trains.trips.trip import evaluate_trip
+from suspnet.vehicle import VerticalVehicle
 
 MINUTES = 60.0
 RATES = {"axle_box": 5000, "bogie": 2000, "body": 2000}
@@ -34,7 +34,7 @@ import json, re, sys
 from pathlib import Path
 import torch
 from suspnet.estimation.checkpoint import load_model
-from suspnet.trips.trip import TripSettings, evaluate_trip
+from suspnet.trains.trips.trip import TripSettings, evaluate_trip
 
 def peak_kib():
     # not ru_maxrss, which starts from that of the process that started this one

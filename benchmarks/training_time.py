@@ -26,11 +26,11 @@ from tabulate import tabulate
 
 from suspnet.cli import program  # noqa: F401 - makes our resolvers known to Hydra
 from suspnet.cli.kinds import build
-from suspnet.estimation.healthy_trips import read_healthy
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.tensors import threads
-from suspnet.runs.commissioning import commission_parts, commission_trips
-from suspnet.simulation import Fleet
+from suspnet.trains.identification.healthy_trips import read_healthy
+from suspnet.trains.jobs.commissioning import commission_parts, commission_trips
+from suspnet.trains.simulation import Fleet
 
 ROOT = TESTS.parent
 RESULTS = TESTS.parent / "benchmarks" / "results"

@@ -27,10 +27,10 @@ from mismatch import (
 from rich_train import FAMILY
 from tabulate import tabulate
 
-from suspnet.dynamics import PARAMETERS
+from suspnet.curves.speeds import Speeds
 from suspnet.ground.parameters import BODY_MASS, DEFAULT_LIMITS, Severity
-from suspnet.maintenance.judge import LastTrips, judge_last
-from suspnet.spectra.speeds import Speeds
+from suspnet.trains.maintenance.judge import LastTrips, judge_last
+from suspnet.vehicle import PARAMETERS
 
 LEVELS = (0.05, 0.1, 0.3, 0.5, 0.62, 0.73, 0.8, 0.9, 1.1, 1.25, 1.5, 2.5, 4.0)
 LOADS = (0.9, 1.25)

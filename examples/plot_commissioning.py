@@ -30,7 +30,7 @@ from suspnet import (
     read_vehicles,
     train,
 )
-from suspnet.simulation import Fleet, Scenario, Simulation, write_fleet
+from suspnet.trains.simulation import Fleet, Scenario, Simulation, write_fleet
 
 plt.style.use("tableau-colorblind10")
 folder = TemporaryDirectory()

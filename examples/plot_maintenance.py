@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from suspnet import plan_calendar
-from suspnet.maintenance import (
+from suspnet.trains.maintenance import (
     DEFAULT_LIMITS,
     ChangeSettings,
     Part,

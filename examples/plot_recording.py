@@ -26,7 +26,7 @@ from suspnet import (
     tfestimate,
     train,
 )
-from suspnet.simulation import Fleet, Scenario, Simulation, write_fleet
+from suspnet.trains.simulation import Fleet, Scenario, Simulation, write_fleet
 
 plt.style.use("tableau-colorblind10")
 folder = TemporaryDirectory()

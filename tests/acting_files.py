@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from recording_files import needed, write_tdms, write_uff
 from scipy.io import savemat
 
-from suspnet.recordings.formats import FORMATS
+from suspnet.trains.recordings.formats import FORMATS
 
 SUFFIXES = [form.suffixes[0] for form in FORMATS]
 SECRET = 42.625

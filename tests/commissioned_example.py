@@ -6,15 +6,15 @@ from pathlib import Path
 import torch
 from vehicles import AM96
 
-from suspnet.dynamics import VerticalVehicle
-from suspnet.estimation.commissioning import commission
-from suspnet.estimation.healthy_misfit import HealthySpectra
-from suspnet.estimation.healthy_trips import HealthyTrips
-from suspnet.recordings.manifest import CHANNELS, TripManifest
-from suspnet.recordings.manifest_sources import SensorSource
-from suspnet.spectra.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
-from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.speeds import Speeds
+from suspnet.curves.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
+from suspnet.curves.estimates import EstimateSettings
+from suspnet.curves.speeds import Speeds
+from suspnet.trains.fits.commissioning import commission
+from suspnet.trains.fits.healthy_misfit import HealthySpectra
+from suspnet.trains.identification.healthy_trips import HealthyTrips
+from suspnet.trains.recordings.manifest import CHANNELS, TripManifest
+from suspnet.trains.recordings.manifest_sources import SensorSource
+from suspnet.vehicle import VerticalVehicle
 
 SETTINGS = EstimateSettings(
     segment_s=5.0, rates_hz=(1000.0, 500.0, 500.0), high_hz=9.9, body_high_hz=9.0

@@ -16,8 +16,8 @@ from hypothesis import settings
 from pairs import mark_beyond_pairs
 
 if TYPE_CHECKING:
-    from suspnet.dynamics import QuarterCar, Vehicle
-    from suspnet.estimation.protocols import Protocol, Task
+    from suspnet.curves.protocols import Protocol, Task
+    from suspnet.vehicle import QuarterCar, Vehicle
 
 settings.register_profile("tests", deadline=None, derandomize=True, database=None, max_examples=20)
 settings.load_profile("tests")
@@ -123,7 +123,7 @@ APART = ("attacks", "bounds", "confinement", "formats", "fuzz", "memory", "proce
 @pytest.fixture(scope="module", autouse=True)
 def _parquet_read_in_this_process(request):
     """Read simulated trips without a process for each of their four files, a third of the time."""
-    from suspnet.recordings import formats
+    from suspnet.trains.recordings import formats
 
     name, folder = request.path.stem, request.path.parent.name
     apart = folder in READ_APART or name == "test_same_estimate"
@@ -148,7 +148,7 @@ def trips_fitted_once():
     """Fit the same trips once for all boards of a module, which is most of the time of a view."""
     import pickle
 
-    from suspnet.maintenance import fleet, life
+    from suspnet.trains.maintenance import fleet, life
 
     known, fit = {}, life.fit_trips
 
@@ -181,7 +181,7 @@ def am96() -> "Vehicle":
 
 @pytest.fixture(scope="session")
 def quarter_car(am96) -> "QuarterCar":
-    from suspnet.dynamics import QuarterCar
+    from suspnet.vehicle import QuarterCar
 
     return QuarterCar(am96)
 

@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from recording_files import needed, write_mdf, write_tdms, write_uff
 
-from suspnet.recordings.formats import FORMATS
+from suspnet.trains.recordings.formats import FORMATS
 
 A = np.arange(50.0)
 ZEROS = 2**24

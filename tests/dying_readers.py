@@ -14,8 +14,8 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from suspnet.recordings.columns import Column, OpenFile
-from suspnet.recordings.errors import TripError
+from suspnet.trains.recordings.columns import Column, OpenFile
+from suspnet.trains.recordings.errors import TripError
 
 N_BLOCKS, N_SAMPLES = 3, 4
 

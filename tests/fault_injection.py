@@ -24,8 +24,8 @@ from PIL import Image
 
 from suspnet.cli import program
 from suspnet.ground.storage import read_arrays, read_json
-from suspnet.recordings.manifest import CHANNELS
-from suspnet.trips.earlier import FOLDER
+from suspnet.trains.recordings.manifest import CHANNELS
+from suspnet.trains.trips.earlier import FOLDER
 
 RATES_HZ = (400.0, 250.0, 250.0)
 FEW = [

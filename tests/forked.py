@@ -15,7 +15,7 @@ from suspnet.cli.start import start
 
 IMPORTED = (
     *("suspnet.cli.replay", "suspnet.cli.serve", "suspnet.cli.simulate"),
-    "suspnet.trips.fleet",
+    "suspnet.trains.jobs.fleet",
 )
 """What the server imports once, for the processes of the tests that are not slow."""
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from suspnet.recordings.frames import Frame, decode, encode
+from suspnet.trains.recordings.frames import Frame, decode, encode
 
 CONFIGURATION = Path(__file__).parents[1] / "examples" / "mosquitto.conf"
 ANSWERS_S = 8.0

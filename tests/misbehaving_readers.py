@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from suspnet.recordings.columns import Column, OpenFile
+from suspnet.trains.recordings.columns import Column, OpenFile
 
 
 def by_c(name, *arguments):

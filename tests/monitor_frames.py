@@ -9,9 +9,9 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from suspnet.ground.storage import write_atomically
-from suspnet.recordings.frames import Frame, encode
-from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.manifest_sources import SpeedSource
+from suspnet.trains.recordings.frames import Frame, encode
+from suspnet.trains.recordings.manifest_files import read_manifest
+from suspnet.trains.recordings.manifest_sources import SpeedSource
 
 
 def columns_of(manifest):

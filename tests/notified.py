@@ -8,8 +8,8 @@ from trip_records import trip
 
 from suspnet.ground.parameters import Cause, Severity
 from suspnet.ground.records import Place
-from suspnet.history import History
-from suspnet.maintenance.alarms import Alarm
+from suspnet.trains.history import History
+from suspnet.trains.maintenance.alarms import Alarm
 
 KEY = "whsec_" + "c3VzcG5ldCBzdXNwbmV0IHN1c3BuZXQ="
 FIRST, SECOND = Place("bogie 1, left"), Place("x", "leading", train="4", car="7")
@@ -70,9 +70,9 @@ def rules_file(path, channels, recipients):
 
 def notify_forever(store, rules, lease_s):
     """Run in a process of its own, as `notify --follow` does, with quick looks."""
-    from suspnet.history import outbox
-    from suspnet.live import notifier
-    from suspnet.live.notification_rules import read_rules
+    from suspnet.depot.live import notifier
+    from suspnet.depot.live.notification_rules import read_rules
+    from suspnet.trains.history import outbox
 
     outbox.LEASE_S, notifier.LOOK_S = lease_s, 0.05
     with History(store) as history:

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from suspnet.recordings import reader_process
-from suspnet.recordings.errors import TripError
-from suspnet.recordings.formats import open_file, read_columns
+from suspnet.trains.recordings import reader_process
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.formats import open_file, read_columns
 
 
 def cpu_s() -> float:

@@ -11,10 +11,10 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.io import savemat, wavfile
 
-from suspnet.recordings.formats import CSV_SUFFIXES
-from suspnet.recordings.manifest import TripManifest
-from suspnet.recordings.manifest_sources import FileSource
-from suspnet.recordings.sources import open_source
+from suspnet.trains.recordings.formats import CSV_SUFFIXES
+from suspnet.trains.recordings.manifest import TripManifest
+from suspnet.trains.recordings.manifest_sources import FileSource
+from suspnet.trains.recordings.sources import open_source
 
 EXTRAS = {"asammdf": "mdf", "h5py": "hdf5", "nptdms": "tdms", "pyuff": "uff"}
 

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from rich_structure import SENSORS
 
-from suspnet.dynamics.track import acceleration_density, track_spectrum
-from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra, moving_average_with, sample_spectra
+from suspnet.curves.cross_spectra import PAIRS, CrossSpectra, moving_average_with, sample_spectra
+from suspnet.vehicle.track import acceleration_density, track_spectrum
 
 GERMAN_ALIGNMENT = 2.119e-7 / 4.032e-7
 """Alignment over vertical unevenness of the German track of low disturbance, a constant."""

@@ -18,14 +18,14 @@ from rich_trips import DRIFT
 from scipy.signal import resample_poly
 from vehicles import AM96
 
-from suspnet.dynamics import PARAMETERS
-from suspnet.dynamics.track import make_profile
-from suspnet.recordings.manifest import TripManifest
-from suspnet.recordings.manifest_files import write_manifest
-from suspnet.recordings.manifest_sources import SensorSource, SpeedSource
-from suspnet.simulation.fleet import FIRST_DAY
-from suspnet.simulation.signals import LEAD_IN_S, MARGIN_M, Journey
-from suspnet.simulation.writing import ANTI_ALIAS, time_between
+from suspnet.trains.recordings.manifest import TripManifest
+from suspnet.trains.recordings.manifest_files import write_manifest
+from suspnet.trains.recordings.manifest_sources import SensorSource, SpeedSource
+from suspnet.trains.simulation.fleet import FIRST_DAY
+from suspnet.trains.simulation.signals import LEAD_IN_S, MARGIN_M, Journey
+from suspnet.trains.simulation.writing import ANTI_ALIAS, time_between
+from suspnet.vehicle import PARAMETERS
+from suspnet.vehicle.track import make_profile
 
 SIDES = ("left", "right")
 WRITTEN = ("pair", "mean", *SIDES)

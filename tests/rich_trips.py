@@ -14,16 +14,16 @@ from rich_vehicle import RichVehicle
 from scipy.signal import resample_poly
 from vehicles import AM96
 
-from suspnet.dynamics import PARAMETERS, VerticalVehicle
-from suspnet.dynamics.quantities import UNMEASURED
-from suspnet.dynamics.track import make_profile, track_spectrum
-from suspnet.recordings.manifest import CHANNELS, TripManifest
-from suspnet.recordings.manifest_files import write_manifest
-from suspnet.recordings.manifest_sources import SensorSource, SpeedSource
-from suspnet.simulation import Scenario
-from suspnet.simulation.fleet import FIRST_DAY
-from suspnet.simulation.signals import LEAD_IN_S, MARGIN_M, Journey, profile_length_m
-from suspnet.simulation.writing import ANTI_ALIAS, time_between
+from suspnet.trains.recordings.manifest import CHANNELS, TripManifest
+from suspnet.trains.recordings.manifest_files import write_manifest
+from suspnet.trains.recordings.manifest_sources import SensorSource, SpeedSource
+from suspnet.trains.simulation import Scenario
+from suspnet.trains.simulation.fleet import FIRST_DAY
+from suspnet.trains.simulation.signals import LEAD_IN_S, MARGIN_M, Journey, profile_length_m
+from suspnet.trains.simulation.writing import ANTI_ALIAS, time_between
+from suspnet.vehicle import PARAMETERS, VerticalVehicle
+from suspnet.vehicle.quantities import UNMEASURED
+from suspnet.vehicle.track import make_profile, track_spectrum
 
 PARTS = ("bending", "dampers", "rubber", "contact")
 OFF = {  # of a vehicle that is not as its drawings say; signs as in README where it gives them

@@ -9,11 +9,11 @@ from depot_trips import SPREAD, read_trip
 from trip_records import curves
 from waitress import wasyncore
 
+from suspnet.depot.web.app import create_app, http_server
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.ground.records import Place
-from suspnet.history import History
-from suspnet.report.board import Board, BoardSettings, Refresher
-from suspnet.web.app import create_app, http_server
+from suspnet.trains.history import History
+from suspnet.trains.pages.board import Board, BoardSettings, Refresher
 
 N_TRIPS = 30
 EVIL = "<script>window.evil = 1</script>"

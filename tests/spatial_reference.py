@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
-from suspnet.dynamics.quantities import QUANTITIES, SPATIAL_QUANTITIES
-from suspnet.dynamics.vertical_motion import LOSS_HZ, LOSS_SHARES
+from suspnet.vehicle.quantities import QUANTITIES, SPATIAL_QUANTITIES
+from suspnet.vehicle.vertical_motion import LOSS_HZ, LOSS_SHARES
 
 X, Y, Z = np.eye(3)
 RAIL_M = 0.75

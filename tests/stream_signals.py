@@ -4,11 +4,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from suspnet.live.journal import dump_state, load_state
-from suspnet.recordings.frames import Frame, FrameError, decode, encode
-from suspnet.recordings.manifest import CHANNELS, TripManifest
-from suspnet.recordings.manifest_sources import SensorSource, SpeedSource
-from suspnet.recordings.recording import load_recording
+from suspnet.depot.live.journal import dump_state, load_state
+from suspnet.trains.recordings.frames import Frame, FrameError, decode, encode
+from suspnet.trains.recordings.manifest import CHANNELS, TripManifest
+from suspnet.trains.recordings.manifest_sources import SensorSource, SpeedSource
+from suspnet.trains.recordings.recording import load_recording
 
 ZERO_NS = 1_700_000_000_000_000_000
 RATES_HZ = {"axle_box": 400.0, "bogie": 250.0, "body": 250.0, "speed": 4.0}

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from suspnet.cli.kinds import read_vehicles
+from suspnet.curves.components import FEATURE_SETS
+from suspnet.curves.curves import CurveSettings
+from suspnet.curves.problem import TEST, Problem
 from suspnet.estimation.checkpoint import load_model, save_model
-from suspnet.estimation.problem import TEST, Problem
 from suspnet.learning import METHODS, LinearRegression
 from suspnet.runs.fit import fit
-from suspnet.spectra.components import FEATURE_SETS
-from suspnet.spectra.curves import CurveSettings
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")

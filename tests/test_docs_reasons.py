@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 
+from suspnet.curves.peaks import PeakReason
 from suspnet.ground.records import TripResult
-from suspnet.recordings.cleaning import KINDS
-from suspnet.recordings.formats import READERS
-from suspnet.recordings.manifest import MANIFEST
-from suspnet.recordings.manifest_keys import CsvDialect, keys_of
-from suspnet.recordings.manifest_sources import SensorSource
-from suspnet.spectra.peaks import PeakReason
+from suspnet.trains.recordings.cleaning import KINDS
+from suspnet.trains.recordings.formats import READERS
+from suspnet.trains.recordings.manifest import MANIFEST
+from suspnet.trains.recordings.manifest_keys import CsvDialect, keys_of
+from suspnet.trains.recordings.manifest_sources import SensorSource
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "recordings.md").read_text(encoding="utf-8")

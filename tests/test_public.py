@@ -22,13 +22,13 @@ from suspnet import (
     read_manifest,
     save_model,
 )
-from suspnet.estimation.from_recording import both_ways
-from suspnet.estimation.problem import TEST
+from suspnet.curves.curves import CurveSettings
+from suspnet.curves.problem import TEST
+from suspnet.curves.speeds import NoEstimateError
 from suspnet.runs.fit import fit
 from suspnet.runs.predict import calibrated, predict_stream
-from suspnet.spectra.curves import CurveSettings
-from suspnet.spectra.segments import recording_segments
-from suspnet.spectra.speeds import NoEstimateError
+from suspnet.trains.identification.from_recording import both_ways
+from suspnet.trains.spectra.segments import recording_segments
 
 SETTINGS = CurveSettings(300, 120, 300, low_hz=0.3, high_hz=12.0, step_hz=0.04, cache_dir=None)
 

@@ -12,20 +12,20 @@ from built_once import built_once
 from protocols import shipped_protocol
 from vehicles import AM96
 
-from suspnet.dynamics import VerticalVehicle
+from suspnet.curves.estimates import EstimateSettings
+from suspnet.curves.problem import TEST, Problem
 from suspnet.estimation.checkpoint import load_model, save_model
-from suspnet.estimation.problem import TEST, Problem
 from suspnet.learning import MSVR
-from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest import CHANNELS
-from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.runs.fit import fit
 from suspnet.runs.predict import calibrated, predict_stream
 from suspnet.runs.scores import rms_percent
-from suspnet.simulation.fleet import Scenario
-from suspnet.simulation.writing import Fleet, Simulation, write_fleet
-from suspnet.spectra.estimates import EstimateSettings
-from suspnet.trips.trip import evaluate_trip
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.manifest import CHANNELS
+from suspnet.trains.recordings.manifest_files import ManifestFile
+from suspnet.trains.simulation.fleet import Scenario
+from suspnet.trains.simulation.writing import Fleet, Simulation, write_fleet
+from suspnet.trains.trips.trip import evaluate_trip
+from suspnet.vehicle import VerticalVehicle
 
 OUTPUTS = ("k_p", "c_p", "k_s", "c_s", "M_s")
 RATES_HZ = (400.0, 250.0, 250.0)

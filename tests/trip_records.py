@@ -6,10 +6,10 @@ import numpy as np
 
 from suspnet.ground.findings import Finding
 from suspnet.ground.records import NO_ESTIMATE, Place, Quality, TripCurves, TripResult
-from suspnet.maintenance.alarms import Watched
-from suspnet.maintenance.series import series_of
-from suspnet.maintenance.state import State
-from suspnet.report.trend import trend_of_trips
+from suspnet.trains.maintenance.alarms import Watched
+from suspnet.trains.maintenance.series import series_of
+from suspnet.trains.maintenance.state import State
+from suspnet.trains.pages.trend import trend_of_trips
 
 OUTPUTS = ("k_p", "c_p", "k_s", "c_s", "M_s")
 SPREAD = {"k_p": 0.002, "c_p": 0.02, "k_s": 0.006, "c_s": 0.008, "M_s": 0.03}

@@ -1,7 +1,7 @@
 """The AM96 as shipped, for tests that need it at import; test_vehicle.py pins its numbers."""
 
 from suspnet.cli.kinds import read_vehicles
-from suspnet.dynamics.quantities import QUANTITIES
+from suspnet.vehicle.quantities import QUANTITIES
 
 AM96 = read_vehicles()["am96"]
 MEDIANS = {quantity.name: quantity.median for quantity in QUANTITIES}

@@ -12,6 +12,8 @@ from statistics import median
 from suspnet.cli.config_files import own_vehicles
 from suspnet.cli.kinds import named_runs, vehicles_with
 from suspnet.cli.typed_words import listed
+from suspnet.curves.estimates import WIDE_SPEED_HALF_WIDTH, EstimateSettings
+from suspnet.curves.speeds import SpeedRange, covering, setting_words
 from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground import ledger, progress
@@ -19,12 +21,9 @@ from suspnet.ground.settings import check_number
 from suspnet.ground.storage import distinct, new_folder, printable
 from suspnet.ground.wording import command
 from suspnet.ground.workers import LostWorkerError, each, workers_for
-from suspnet.recordings.manifest_files import find_trips
-from suspnet.report.language import speaking
-from suspnet.spectra.estimates import WIDE_SPEED_HALF_WIDTH, EstimateSettings
-from suspnet.spectra.speeds import SpeedRange, covering, setting_words
-from suspnet.trips.check import CheckSettings, Opened, check_trip
-from suspnet.trips.check_page import (
+from suspnet.runs.language import speaking
+from suspnet.trains.jobs.check import CheckSettings, Opened, check_trip
+from suspnet.trains.pages.check_page import (
     NEED_A_VEHICLE,
     PROBLEM,
     READY,
@@ -35,6 +34,7 @@ from suspnet.trips.check_page import (
     with_shared_data,
     write_checks,
 )
+from suspnet.trains.recordings.manifest_files import find_trips
 
 N_HEALTHY = 5
 """Number of first trips that the next command takes as healthy, which the user may change."""

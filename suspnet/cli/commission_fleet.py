@@ -26,9 +26,9 @@ from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.settings import check_values, setting
 from suspnet.ground.storage import read_json, write_atomically, write_json
 from suspnet.ground.workers import LostWorkerError, each
-from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.runs.sweeps import run_errors
-from suspnet.trips.grouping import Group, find_groups
+from suspnet.trains.recordings.manifest_files import ManifestFile
+from suspnet.trains.trips.grouping import Group, find_groups
 
 log = logging.getLogger(__name__)
 LOG = "train.log"

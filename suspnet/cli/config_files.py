@@ -18,9 +18,9 @@ import yaml
 from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
+from suspnet.ground.core_yaml import LOADER, MOST_BYTES, parse_yaml
 from suspnet.ground.settings import check_number
 from suspnet.ground.storage import read_plain
-from suspnet.recordings.core_yaml import LOADER, MOST_BYTES, parse_yaml
 
 
 def _configs() -> str:

@@ -22,21 +22,21 @@ from suspnet.cli.folders import (
     worst,
 )
 from suspnet.cli.kinds import board_settings, build, named_runs
+from suspnet.depot.live.notification_rules import read_rules
+from suspnet.depot.live.notifier import Notifier
 from suspnet.estimation.checkpoint import load_model
 from suspnet.ground.parameters import Severity
 from suspnet.ground.settings import check_choice
 from suspnet.ground.storage import write_atomically
-from suspnet.history import History
-from suspnet.live.notification_rules import read_rules
-from suspnet.live.notifier import Notifier
-from suspnet.report.language import speaking
-from suspnet.report.output import check_documents, write_documents
-from suspnet.report.overview import Evaluated
 from suspnet.runs.evaluate import FreshCurves, evaluate
 from suspnet.runs.identifiability import write_identifiability
-from suspnet.runs.maintenance import existing_history, write_maintenance
+from suspnet.runs.language import speaking
 from suspnet.runs.sweeps import write_table6
-from suspnet.trips.fleet import evaluate_fleet
+from suspnet.trains.history import History
+from suspnet.trains.jobs.fleet import evaluate_fleet
+from suspnet.trains.jobs.maintenance import existing_history, write_maintenance
+from suspnet.trains.pages.output import check_documents, write_documents
+from suspnet.trains.pages.overview import Evaluated
 
 log = logging.getLogger(__name__)
 STUDIES = ("identifiability", "maintenance")

@@ -20,8 +20,8 @@ from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
 from suspnet.cli.typed_words import quoted
 from suspnet.ground import ledger
+from suspnet.ground.core_yaml import read_yaml
 from suspnet.ground.storage import new_folder, write_atomically
-from suspnet.recordings.core_yaml import read_yaml
 
 log = logging.getLogger(__name__)
 ERROR = "error.txt"

@@ -20,14 +20,14 @@ from suspnet.ground.progress import LineFormatter
 from suspnet.ground.records import PLACE, Place, TripResult, outputs_of
 from suspnet.ground.storage import printable, write_table
 from suspnet.ground.wording import thousands
-from suspnet.history import History, HistoryError
-from suspnet.history.backup import back_up, restore
-from suspnet.history.database import check_exists
-from suspnet.history.outbox import MOST_LISTED
-from suspnet.history.store import acknowledge_alarms
-from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
-from suspnet.maintenance.series import Event
-from suspnet.report.xlsx import write_xlsx
+from suspnet.trains.history import History, HistoryError
+from suspnet.trains.history.backup import back_up, restore
+from suspnet.trains.history.database import check_exists
+from suspnet.trains.history.outbox import MOST_LISTED
+from suspnet.trains.history.store import acknowledge_alarms
+from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm, newest_of
+from suspnet.trains.maintenance.series import Event
+from suspnet.trains.pages.xlsx import write_xlsx
 
 
 def history(arguments: Namespace) -> None:
@@ -151,8 +151,8 @@ def _export(store: History, arguments: Namespace) -> str:
 
 def _notify(store: History, arguments: Namespace) -> str:
     """Send what is new once, or until a signal ends the program."""
-    from suspnet.live.notification_rules import read_rules  # with what the channels need
-    from suspnet.live.notifier import Notifier
+    from suspnet.depot.live.notification_rules import read_rules  # with what the channels need
+    from suspnet.depot.live.notifier import Notifier
 
     notifier = Notifier(store, read_rules(arguments.rules))
     if arguments.retry:

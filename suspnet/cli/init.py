@@ -13,12 +13,12 @@ from suspnet.cli.config_files import is_shipped, own_vehicles
 from suspnet.ground.records import Place
 from suspnet.ground.storage import printable, write_atomically
 from suspnet.ground.wording import command, count
-from suspnet.recordings.errors import TripError, all_of
-from suspnet.trips import folder_manifests as folders
-from suspnet.trips.file_contents import Signal, look_into
-from suspnet.trips.grouping import lone_trains
-from suspnet.trips.manifest_template import template
-from suspnet.trips.trip_files import find_tables, find_trip_files, unread_files
+from suspnet.trains.recordings.errors import TripError, all_of
+from suspnet.trains.trips import folder_manifests as folders
+from suspnet.trains.trips.file_contents import Signal, look_into
+from suspnet.trains.trips.grouping import lone_trains
+from suspnet.trains.trips.manifest_template import template
+from suspnet.trains.trips.trip_files import find_tables, find_trip_files, unread_files
 
 LEFT_OPEN = {
     "bogie": "is taken as the leading one, which decides how the other bogie and the body's pitch "

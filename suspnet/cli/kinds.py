@@ -21,19 +21,19 @@ from suspnet.cli.config_files import CONFIGS, read_settings
 from suspnet.ground.settings import check_choice, check_number
 
 if TYPE_CHECKING:
-    from suspnet.dynamics import Vehicle
-    from suspnet.estimation.protocols import Protocol
-    from suspnet.report.board import BoardSettings
+    from suspnet.curves.protocols import Protocol
+    from suspnet.trains.pages.board import BoardSettings
+    from suspnet.vehicle import Vehicle
 
 KINDS: dict[str, dict[str, str | type]] = {
     "data": {
-        "curves": "suspnet.spectra.curves.CurveSettings",
-        "trips": "suspnet.spectra.estimates.EstimateSettings",
+        "curves": "suspnet.curves.curves.CurveSettings",
+        "trips": "suspnet.curves.estimates.EstimateSettings",
     },
     "generator": {
-        "best": "suspnet.dynamics.best_generator",
-        "quarter_car": "suspnet.dynamics.QuarterCar",
-        "vertical_vehicle": "suspnet.dynamics.VerticalVehicle",
+        "best": "suspnet.vehicle.best_generator",
+        "quarter_car": "suspnet.vehicle.QuarterCar",
+        "vertical_vehicle": "suspnet.vehicle.VerticalVehicle",
     },
     "model": {
         "curve_fit": "suspnet.learning.CurveFit",
@@ -44,30 +44,30 @@ KINDS: dict[str, dict[str, str | type]] = {
         "svr": "suspnet.learning.SVR",
     },
     "sink": {
-        "folder": "suspnet.live.sinks.Folder",
-        "mqtt": "suspnet.live.sinks.MqttSink",
-        "stdout": "suspnet.live.sinks.StandardOutput",
+        "folder": "suspnet.depot.live.sinks.Folder",
+        "mqtt": "suspnet.depot.live.sinks.MqttSink",
+        "stdout": "suspnet.depot.live.sinks.StandardOutput",
     },
     "source": {
-        "folder": "suspnet.live.drop_folder.DropFolder",
-        "mqtt": "suspnet.live.mqtt.Mqtt",
-        "stdin": "suspnet.live.source.Pipe",
+        "folder": "suspnet.depot.live.drop_folder.DropFolder",
+        "mqtt": "suspnet.depot.live.mqtt.Mqtt",
+        "stdin": "suspnet.depot.live.source.Pipe",
     },
     # where there is one kind only, a configuration need not name it
-    "broker": {"": "suspnet.live.broker.Broker"},
-    "changes": {"": "suspnet.maintenance.change.ChangeSettings"},
-    "fleet": {"": "suspnet.simulation.fleet.Fleet"},
-    "live": {"": "suspnet.live.sections.LiveSettings"},
-    "monitor": {"": "suspnet.trips.fleet.FleetSettings"},
-    "order": {"": "suspnet.recordings.assembler.OrderSettings"},
-    "plan": {"": "suspnet.maintenance.plan.PlanSettings"},
-    "protocol": {"": "suspnet.estimation.protocols.Protocol"},
-    "scenario": {"": "suspnet.simulation.fleet.Scenario"},
+    "broker": {"": "suspnet.depot.live.broker.Broker"},
+    "changes": {"": "suspnet.trains.maintenance.change.ChangeSettings"},
+    "fleet": {"": "suspnet.trains.simulation.fleet.Fleet"},
+    "live": {"": "suspnet.depot.live.sections.LiveSettings"},
+    "monitor": {"": "suspnet.trains.jobs.fleet.FleetSettings"},
+    "order": {"": "suspnet.trains.recordings.assembler.OrderSettings"},
+    "plan": {"": "suspnet.trains.maintenance.plan.PlanSettings"},
+    "protocol": {"": "suspnet.curves.protocols.Protocol"},
+    "scenario": {"": "suspnet.trains.simulation.fleet.Scenario"},
     "search": {"": "suspnet.learning.search.GridSearch"},
-    "sisters": {"": "suspnet.maintenance.sisters.SisterSettings"},
+    "sisters": {"": "suspnet.trains.maintenance.sisters.SisterSettings"},
     "trips": {"": "suspnet.estimation.trip_settings.TripSettings"},
     "tube": {"": "suspnet.runs.tube.TubeStudy"},
-    "vehicle": {"": "suspnet.dynamics.Vehicle"},
+    "vehicle": {"": "suspnet.vehicle.Vehicle"},
 }
 """Kinds and the class of each, by the key below which the object is configured; a class itself
 where ``suspnet.register_method`` has added it."""
@@ -215,7 +215,7 @@ def read_all_vehicles() -> dict[str, Vehicle]:
 
 def board_settings(config: DictConfig, alarms: DictConfig) -> BoardSettings:
     """Return the settings of a fleet's states and plan; `alarms` holds limits and reference."""
-    from suspnet.report.board import BoardSettings  # imports the store
+    from suspnet.trains.pages.board import BoardSettings  # imports the store
 
     check_choice("reference", alarms.reference, ("vehicle", "first_trips"))
     check_number("n_reference", alarms.n_reference, low=1, most=1024, whole=True)

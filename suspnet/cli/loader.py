@@ -26,7 +26,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
 from suspnet.cli.config_files import CONFIGS, read_settings
-from suspnet.live.broker import HOST_VARIABLE
+from suspnet.depot.live.broker import HOST_VARIABLE
 
 ALLOWED = frozenset(
     """

@@ -10,14 +10,14 @@ from omegaconf import DictConfig
 
 from suspnet.cli import program
 from suspnet.cli.kinds import build, named_runs
+from suspnet.depot.live.journal import Journal
+from suspnet.depot.live.monitor import Monitor
+from suspnet.depot.live.notification_rules import read_rules
+from suspnet.depot.live.notifier import Notifier
+from suspnet.depot.live.results import Results
+from suspnet.depot.live.suspension import read_suspensions
 from suspnet.estimation.checkpoint import load_model
-from suspnet.history import History
-from suspnet.live.journal import Journal
-from suspnet.live.monitor import Monitor
-from suspnet.live.notification_rules import read_rules
-from suspnet.live.notifier import Notifier
-from suspnet.live.results import Results
-from suspnet.live.suspension import read_suspensions
+from suspnet.trains.history import History
 
 log = logging.getLogger(__name__)
 

@@ -125,7 +125,7 @@ def check_parser() -> ArgumentParser:
 
 def init_parser() -> ArgumentParser:
     """Return the options of suspnet init."""
-    from suspnet.recordings.formats import READERS  # with pyarrow
+    from suspnet.trains.recordings.formats import READERS  # with pyarrow
 
     parser = _parser("suspnet init", INIT_DESCRIPTION, INIT_EPILOG)
     parser.add_argument(

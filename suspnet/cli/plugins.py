@@ -20,11 +20,11 @@ from hydra.core.config_store import ConfigStore
 from joblib.externals.loky.backend.reduction import cloudpickle
 
 from suspnet.cli.kinds import KINDS
+from suspnet.curves.components import FEATURE_SETS
+from suspnet.curves.extraction import FeatureSet
 from suspnet.ground.storage import why
 from suspnet.learning import METHODS
 from suspnet.runs.tables import MODEL_TITLES, REFINED
-from suspnet.spectra.components import FEATURE_SETS
-from suspnet.spectra.extraction import FeatureSet
 
 OPTION = "--plugin"
 NAME = re.compile(r"[a-z][a-z0-9_]*", re.ASCII)

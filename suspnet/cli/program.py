@@ -44,8 +44,8 @@ from suspnet.ground.workers import LostWorkerError, end_with_parent, fork_from_s
 WITH_OPTIONS = ("check", "history", "init")
 """Programs that read no configuration."""
 POOLS = {
-    "evaluate": ("suspnet.trips.fleet", "monitor.workers", "trips"),
-    "simulate": ("suspnet.simulation.writing", "workers", "out"),
+    "evaluate": ("suspnet.trains.jobs.fleet", "monitor.workers", "trips"),
+    "simulate": ("suspnet.trains.simulation.writing", "workers", "out"),
     "train": ("suspnet.cli.train", "workers", "healthy"),
 }
 """Programs with worker processes: the module that these need, the key of their number, and the key

@@ -10,10 +10,10 @@ from omegaconf import DictConfig
 
 from suspnet.cli import program
 from suspnet.cli.kinds import build
+from suspnet.depot.live.replay import Pace, Replay
+from suspnet.depot.live.sinks import Sink
 from suspnet.ground.progress import bar
 from suspnet.ground.wording import count
-from suspnet.live.replay import Pace, Replay
-from suspnet.live.sinks import Sink
 
 
 @program.task

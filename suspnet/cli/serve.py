@@ -20,17 +20,17 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from suspnet.cli import program, signals
 from suspnet.cli.kinds import board_settings
+from suspnet.depot.live.broker import secret
 from suspnet.ground.extras import check_extra
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.storage import read_plain, why
-from suspnet.history import History
-from suspnet.history.database import BusyError
-from suspnet.live.broker import secret
-from suspnet.report.board import LOOK_S, Board
-from suspnet.report.language import check_language
+from suspnet.runs.language import check_language
+from suspnet.trains.history import History
+from suspnet.trains.history.database import BusyError
+from suspnet.trains.pages.board import LOOK_S, Board
 
 if TYPE_CHECKING:
-    from suspnet.web.access import Access
+    from suspnet.depot.web.access import Access
 
 log = logging.getLogger(__name__)
 NEEDED = ("flask", "flask_wtf", "waitress", "plotly", "pydantic")
@@ -83,8 +83,8 @@ def serve(board: Board, config: DictConfig) -> None:
 
     ValueError if the address is taken or not of this computer, or the server ends by itself.
     """
-    from suspnet.report.board import Refresher
-    from suspnet.web.app import create_app, http_server
+    from suspnet.depot.web.app import create_app, http_server
+    from suspnet.trains.pages.board import Refresher
 
     refresher = Refresher(board, config.refresh_s)
     names = [*config.hosts, *([] if config.host == ANY else [config.host])]
@@ -147,7 +147,7 @@ def _check_store(store: str) -> None:
 
 def _access(config: DictConfig) -> Access:
     """Return who may see and acknowledge; ValueError if the settings or the token are not valid."""
-    from suspnet.web.access import Access
+    from suspnet.depot.web.access import Access
 
     for name in ("trusted_proxies", "engineers"):
         if not isinstance(config[name], ListConfig):
@@ -196,7 +196,7 @@ def _prefix(path: str | None) -> str:
 
 def _check_address(config: DictConfig) -> None:
     """Raise ValueError if other computers could reach the pages without being asked for."""
-    from suspnet.web.app import is_loopback
+    from suspnet.depot.web.app import is_loopback
 
     if ":" in config.host or not config.host:
         raise ValueError(f"`host` must be an IPv4 address or a name, got {config.host!r}")

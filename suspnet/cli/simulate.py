@@ -14,9 +14,9 @@ from suspnet.cli.kinds import build
 from suspnet.ground.settings import Declared, Setting
 from suspnet.ground.wording import command
 from suspnet.ground.workers import ITEMS_A_WORKER, USUAL_WORKERS
-from suspnet.simulation.fleet import Trains
-from suspnet.simulation.folders import FolderTakenError
-from suspnet.simulation.writing import Simulation, write_fleet, write_trains
+from suspnet.trains.simulation.fleet import Trains
+from suspnet.trains.simulation.folders import FolderTakenError
+from suspnet.trains.simulation.writing import Simulation, write_fleet, write_trains
 
 log = logging.getLogger(__name__)
 WORKERS = Declared(

@@ -24,27 +24,27 @@ from suspnet.cli.commission_fleet import (
     train_fleet,
 )
 from suspnet.cli.kinds import build
-from suspnet.dynamics import ResponseGenerator, VerticalVehicle
+from suspnet.curves.estimates import SPEED_HALF_WIDTH, WIDE_SPEED_HALF_WIDTH, EstimateSettings
+from suspnet.curves.problem import Problem
+from suspnet.curves.speeds import SpeedRange, covering, setting_words
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.flags import Residual
-from suspnet.estimation.healthy_trips import read_healthy
-from suspnet.estimation.problem import Problem
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
 from suspnet.ground.settings import check_choice, check_values
 from suspnet.ground.wording import command, span
 from suspnet.learning import ranks
-from suspnet.recordings.manifest_files import ManifestFile
-from suspnet.report.language import check_language, speaking
-from suspnet.runs.commissioning import check_generator, commission_parts, commission_trips
-from suspnet.runs.commissioning_page import training_notes, write_outcome
 from suspnet.runs.dataset import write_dataset
 from suspnet.runs.fit import check_hyperparameters
+from suspnet.runs.language import check_language, speaking
 from suspnet.runs.scores import Metrics
 from suspnet.runs.train import RunContext, speed_ranges, train, train_ranges
 from suspnet.runs.tube import write_tube
-from suspnet.spectra.estimates import SPEED_HALF_WIDTH, WIDE_SPEED_HALF_WIDTH, EstimateSettings
-from suspnet.spectra.speeds import SpeedRange, covering, setting_words
+from suspnet.trains.identification.healthy_trips import read_healthy
+from suspnet.trains.jobs.commissioning import check_generator, commission_parts, commission_trips
+from suspnet.trains.pages.commissioning_page import training_notes, write_outcome
+from suspnet.trains.recordings.manifest_files import ManifestFile
+from suspnet.vehicle import ResponseGenerator, VerticalVehicle
 
 log = logging.getLogger(__name__)
 NO_SPEED = (

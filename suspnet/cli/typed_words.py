@@ -12,7 +12,7 @@ from typing import Any
 
 from hydra.core.override_parser.types import Quote, QuotedString
 
-from suspnet.recordings.core_yaml import parse_yaml
+from suspnet.ground.core_yaml import parse_yaml
 
 LISTS = ("run", "engineers")
 """Keys of one text or a list of texts, ``[A,B]``."""

@@ -11,11 +11,11 @@ from typing import Any
 
 import yaml
 
-from suspnet.dynamics.quantities import QUANTITIES
-from suspnet.dynamics.vehicle import GEOMETRY, Vehicle
 from suspnet.ground.settings import Declared, settings_of
 from suspnet.ground.storage import printable, write_atomically
 from suspnet.ground.wording import command
+from suspnet.vehicle.quantities import QUANTITIES
+from suspnet.vehicle.vehicle import GEOMETRY, Vehicle
 
 FOLDER = Path("vehicles")
 """Folder of the vehicles if none is given."""

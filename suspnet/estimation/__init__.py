@@ -1,1 +1,1 @@
-"""From frequency responses to stiffness and damping: problem, model, intervals."""
+"""From frequency responses to stiffness and damping: methods fitted, intervals, model files."""

@@ -14,13 +14,14 @@ import numpy as np
 import torch
 
 from suspnet._version import __version__
-from suspnet.dynamics import GENERATORS, SpatialVehicle, Vehicle
+from suspnet.curves.components import FEATURE_SETS
+from suspnet.curves.estimates import OBSERVATIONS
+from suspnet.curves.problem import Problem
+from suspnet.curves.protocols import Task
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.flags import OODDetector, Unexplained
 from suspnet.estimation.intervals import Intervals
-from suspnet.estimation.problem import Problem
-from suspnet.estimation.protocols import Task
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.validity import check_arrays, check_model, check_numbers, check_same
 from suspnet.ground.storage import (
@@ -37,8 +38,7 @@ from suspnet.ground.storage import (
 from suspnet.ground.tensors import check_device
 from suspnet.ground.types import FloatArray
 from suspnet.learning import METHODS, Scaling
-from suspnet.spectra.components import FEATURE_SETS
-from suspnet.spectra.estimates import OBSERVATIONS
+from suspnet.vehicle import GENERATORS, SpatialVehicle, Vehicle
 
 SCHEMA_VERSION = 9
 OLDEST_SCHEMA = 8

@@ -7,11 +7,11 @@ from functools import cached_property
 
 from torch import Tensor
 
-from suspnet.dynamics import SpatialVehicle
 from suspnet.estimation.estimate import HealthyValues
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import ShortRepr
+from suspnet.vehicle import SpatialVehicle
 
 
 @dataclass(frozen=True, repr=False)

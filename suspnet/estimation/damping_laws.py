@@ -14,7 +14,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.dynamics import Vehicle
 from suspnet.estimation.relative_velocity import CHANGING, DampingByVelocity, linear, most, prior
 from suspnet.estimation.temperature import (
     DAMPINGS,
@@ -24,6 +23,7 @@ from suspnet.estimation.temperature import (
     kelvins_warmer,
 )
 from suspnet.ground.types import FloatArray
+from suspnet.vehicle import Vehicle
 
 DIFFERENT = 0.05
 """Standard deviation of the logarithms of relative velocities from which healthy trips show how

@@ -11,12 +11,12 @@ from typing import Any, Self
 import numpy as np
 from scipy import stats
 
-from suspnet.dynamics import PARAMETERS, ResponseGenerator, SpatialVehicle
-from suspnet.dynamics.quantities import LogNormal
 from suspnet.ground.findings import together
 from suspnet.ground.parameters import UNITS, kind_of
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray
+from suspnet.vehicle import PARAMETERS, ResponseGenerator, SpatialVehicle
+from suspnet.vehicle.quantities import LogNormal
 
 KINDS = ("missing", "cloud", "range", "misfit", "physics", "sides")
 ENDS = ("value", "low", "high")

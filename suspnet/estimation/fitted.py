@@ -10,17 +10,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from suspnet.dynamics import ResponseGenerator, Vehicle
+from suspnet.curves.estimates import Observation, Observer
+from suspnet.curves.protocols import Task
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.estimate import Flags, HealthyValues
 from suspnet.estimation.flags import OODDetector, Unexplained
 from suspnet.estimation.intervals import Intervals
-from suspnet.estimation.protocols import Task
 from suspnet.estimation.refine import Refined
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.learning import Scaling
 from suspnet.learning.metrics import check_estimates
-from suspnet.spectra.estimates import Observation, Observer
+from suspnet.vehicle import ResponseGenerator, Vehicle
 
 
 class ModelFileError(ValueError):

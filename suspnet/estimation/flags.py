@@ -3,9 +3,9 @@
 There are six kinds of flags. `OODDetector` sets four: a peak is missing; the features lie outside
 the cloud of the training curves; a parameter lies outside the training range; the generator does
 not explain the curve with any parameters. `Unexplained` sets one if the generator did not explain
-the healthy trips of its commissioning, and `suspnet.estimation.trip_flags` one if the equations do
-not explain how left and right differ. `with_doubt` and `with_bogie_doubt` set that of physics on
-every trip read with a vehicle, or a bogie, whose commissioning did not converge.
+the healthy trips of its commissioning, and `suspnet.trains.identification.trip_flags` one if the
+equations do not explain how left and right differ. `with_doubt` and `with_bogie_doubt` set that
+of physics on every trip read with a vehicle, or a bogie, whose commissioning did not converge.
 
 Unexplained residual: with d_gf the logarithm of the response of group g of the healthy trips in bin
 f over that of the commissioned vehicle, and s_gf the standard deviation of its real and imaginary
@@ -31,8 +31,8 @@ from typing import Self
 import numpy as np
 from sklearn.neighbors import NearestNeighbors
 
+from suspnet.curves.protocols import Task
 from suspnet.estimation.estimate import Flags
-from suspnet.estimation.protocols import Task
 from suspnet.estimation.refine import Refined
 from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import BODY_MASS

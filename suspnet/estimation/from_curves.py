@@ -10,15 +10,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.dynamics import PARAMETERS
+from suspnet.curves.estimates import Misfit, Observer
+from suspnet.curves.protocols import Task, columns_of
 from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.fitted import FittedMethod
-from suspnet.estimation.protocols import Task, columns_of
 from suspnet.estimation.refine import Refined, complete_ratios, refine
 from suspnet.ground.parameters import BODY_MASS
 from suspnet.ground.tensors import as_tensor
 from suspnet.ground.types import FloatArray
-from suspnet.spectra.estimates import Misfit, Observer
+from suspnet.vehicle import PARAMETERS
 
 ONE_SIGMA = 0.6827
 """Level of an interval whose half width is one standard deviation of a normal error."""

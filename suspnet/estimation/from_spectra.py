@@ -32,22 +32,22 @@ import torch
 from scipy.stats import norm
 from torch import Tensor
 
-from suspnet.dynamics.quantities import FAILED_DEVIATION, FAILED_OTHER, OF_THE_TRIP
-from suspnet.dynamics.vertical_vehicle import VerticalVehicle
+from suspnet.bounds.information import output_bounds
+from suspnet.curves.cross_spectra import CrossSpectra
+from suspnet.curves.estimate_observer import EstimateObserver
+from suspnet.curves.estimates import EstimateSettings
+from suspnet.curves.speeds import NoEstimateError, Speeds
 from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.fitted import FittedMethod, ModelFileError
 from suspnet.estimation.flags import with_doubt
 from suspnet.estimation.from_curves import ONE_SIGMA, corrected, residual_scales
-from suspnet.estimation.information import output_bounds
 from suspnet.estimation.intervals import COMMON, LARGEST_MISFIT
 from suspnet.estimation.refine import Refined, complete_ratios, refine
 from suspnet.estimation.relative_velocity import DampingByVelocity, relative_velocities
 from suspnet.ground.findings import Finding
 from suspnet.ground.types import FloatArray
-from suspnet.spectra.cross_spectra import CrossSpectra
-from suspnet.spectra.estimate_observer import EstimateObserver
-from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.speeds import NoEstimateError, Speeds
+from suspnet.vehicle.quantities import FAILED_DEVIATION, FAILED_OTHER, OF_THE_TRIP
+from suspnet.vehicle.vertical_vehicle import VerticalVehicle
 
 
 class MissingFeaturesError(ValueError):

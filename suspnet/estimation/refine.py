@@ -6,7 +6,7 @@ and the misfit shows whether the model can explain the curve at all.
 
 A generator's uncertain numbers are fitted as well, with their distribution as prior: the sum of
 squares is that of the curve's residuals and of their coordinates z
-(`suspnet.spectra.observation`), so the result has the largest posterior density.
+(`suspnet.curves.observation`), so the result has the largest posterior density.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.dynamics import PARAMETERS
-from suspnet.estimation.information import cramer_rao
-from suspnet.estimation.protocols import BODY_MASS_COLUMN, Task, columns_of
+from suspnet.bounds.information import cramer_rao
+from suspnet.curves.estimates import Misfit
+from suspnet.curves.observation import Directions
+from suspnet.curves.protocols import BODY_MASS_COLUMN, Task, columns_of
 from suspnet.ground.tensors import threads
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.learning.least_squares import BEYOND, LeastSquaresSolution, LevenbergMarquardt
-from suspnet.spectra.estimates import Misfit
-from suspnet.spectra.observation import Directions
+from suspnet.vehicle import PARAMETERS
 
 TOL = 1e-5
 """Tolerance of the logarithms of the parameters, far below their deviations."""

@@ -36,12 +36,12 @@ import torch
 from scipy.stats import norm, qmc
 from torch import Tensor
 
-from suspnet.dynamics import Vehicle
+from suspnet.curves.cross_spectra import CrossSpectra
 from suspnet.estimation.estimate import Estimate
 from suspnet.ground.findings import Finding, together
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
-from suspnet.spectra.cross_spectra import CrossSpectra
+from suspnet.vehicle import Vehicle
 
 SUSPENSIONS = ((0, 1), (1, 2))
 """Sensors on both sides of primary and secondary suspension."""

@@ -12,6 +12,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
+from suspnet.curves.cross_spectra import CrossSpectra
 from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_curves import estimate_curves
@@ -20,12 +21,11 @@ from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import INTERVAL_LEVEL
 from suspnet.ground.settings import check_number
 from suspnet.ground.tensors import as_tensor, curves_as_tensor
-from suspnet.spectra.cross_spectra import CrossSpectra
 
 if TYPE_CHECKING:
-    from suspnet.recordings.recording import Recording
+    from suspnet.trains.recordings.recording import Recording
 
-READS_TRIPS = "suspnet.estimation.from_recording"
+READS_TRIPS = "suspnet.trains.identification.from_recording"
 """Module with `estimate_trip`. It is imported for a trip only: a model of curves needs no trips."""
 SAME_BIN_HZ = 1e-6
 """Difference [Hz] below which two frequency bins are the same."""

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from suspnet.curves.problem import Problem
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
-from suspnet.estimation.problem import Problem
 from suspnet.estimation.relative_velocity import DampingByVelocity
 from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.estimation.trained import TrainedModel

@@ -1,1 +1,1 @@
-"""Training runs and studies: fit, calibrate, predict, score, and the files of a run folder."""
+"""Training runs and sweeps of the paper: fit, calibrate, predict, score; files of a run folder."""

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from suspnet._version import __version__
-from suspnet.estimation.information import output_bounds, over_bound
-from suspnet.estimation.problem import BLOCK, CALIBRATE, TEST, TRAIN, Problem
+from suspnet.bounds.information import output_bounds, over_bound
+from suspnet.curves.problem import BLOCK, CALIBRATE, TEST, TRAIN, Problem
 from suspnet.ground.parameters import PARAMETERS
 from suspnet.ground.settings import check_choice
 from suspnet.ground.storage import write_atomically

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from suspnet.curves.problem import TEST, Problem
 from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.fitted import FittedMethod
-from suspnet.estimation.problem import TEST, Problem
 from suspnet.ground.progress import stage
 from suspnet.ground.storage import write_json
-from suspnet.report.tensorboard import RunLog
 from suspnet.runs.predict import predict_stream
 from suspnet.runs.scores import (
     Metrics,
@@ -20,6 +19,7 @@ from suspnet.runs.scores import (
     report,
     scores,
 )
+from suspnet.runs.tensorboard import RunLog
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from suspnet.report.figures import SYMBOLS
+from suspnet.runs.figures import SYMBOLS
 from suspnet.runs.plots import grid, legend_above
 from suspnet.runs.readings import METHODS
 from suspnet.runs.tables import (

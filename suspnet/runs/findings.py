@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from suspnet.dynamics import PARAMETERS, Vehicle
-from suspnet.estimation.identifiability import UNIDENTIFIED, Bound, Direction, Option, listed
-from suspnet.estimation.protocols import Task
+from suspnet.bounds.identifiability import UNIDENTIFIED, Bound, Direction, Option, listed
+from suspnet.curves.protocols import Task
 from suspnet.ground.parameters import UNITS
 from suspnet.runs.tables import markdown
+from suspnet.vehicle import PARAMETERS, Vehicle
 
 WORTH_HAVING = 0.9
 """Largest ratio of bounds, after over before, for which an addition counts as helpful."""

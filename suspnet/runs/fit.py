@@ -11,16 +11,16 @@ from typing import Any
 
 import torch
 
+from suspnet.curves.problem import TRAIN, FeatureData, Problem, none_complete
+from suspnet.curves.protocols import Task
 from suspnet.estimation.checkpoint import parameters
-from suspnet.estimation.problem import TRAIN, FeatureData, Problem, none_complete
-from suspnet.estimation.protocols import Task
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.settings import check_settings
 from suspnet.ground.tensors import check_device
 from suspnet.learning import METHODS, Scaling, ranks
 from suspnet.learning.search import GridSearch, SearchResult
-from suspnet.report.tensorboard import RunLog
+from suspnet.runs.tensorboard import RunLog
 
 log = logging.getLogger(__name__)
 TOO_MANY_LOST = 0.02

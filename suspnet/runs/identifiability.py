@@ -12,8 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from suspnet.dynamics import PARAMETERS, ResponseGenerator
-from suspnet.estimation.identifiability import (
+from suspnet.bounds.identifiability import (
     UNIDENTIFIED,
     VERDICTS,
     Bound,
@@ -23,17 +22,18 @@ from suspnet.estimation.identifiability import (
     options,
     with_healthy,
 )
-from suspnet.estimation.information import scale_ambiguity_bound
-from suspnet.estimation.problem import TEST
-from suspnet.estimation.protocols import Protocol, Task
+from suspnet.bounds.information import scale_ambiguity_bound
+from suspnet.curves.curves import CurveSettings
+from suspnet.curves.estimates import Observation
+from suspnet.curves.problem import TEST
+from suspnet.curves.protocols import Protocol, Task
 from suspnet.ground.parameters import BODY_MASS
 from suspnet.ground.settings import check_number
-from suspnet.report.figures import SYMBOLS
+from suspnet.runs.figures import SYMBOLS
 from suspnet.runs.findings import Findings, group_markdown, plain, records
 from suspnet.runs.plots import OUR_COLOUR
 from suspnet.runs.tables import write_study
-from suspnet.spectra.curves import CurveSettings
-from suspnet.spectra.estimates import Observation
+from suspnet.vehicle import PARAMETERS, ResponseGenerator
 
 
 def write_identifiability(

@@ -13,10 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import NullFormatter
 
-from suspnet.dynamics import ResponseGenerator, Vehicle
 from suspnet.ground.parameters import PARAMETERS, UNITS
 from suspnet.ground.types import FloatArray
-from suspnet.report.figures import SUSPENSIONS, SYMBOLS
+from suspnet.runs.figures import SUSPENSIONS, SYMBOLS
 from suspnet.runs.tables import (
     MODEL_TITLES,
     grouped,
@@ -24,6 +23,7 @@ from suspnet.runs.tables import (
     precision_percent,
     table6_caption,
 )
+from suspnet.vehicle import ResponseGenerator, Vehicle
 
 PRECISION_TICKS = (0.2, 0.5, 1, 2, 5)
 PAPER_COLOUR, OUR_COLOUR, BOUND_COLOUR = "0.75", "tab:blue", "black"

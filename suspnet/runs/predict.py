@@ -11,6 +11,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from suspnet.bounds.information import shifts
+from suspnet.curves.estimate_observer import EstimateObserver
+from suspnet.curves.problem import (
+    BATCH,
+    BLOCK,
+    CALIBRATE,
+    STREAM_NAMES,
+    TRAIN,
+    FeatureData,
+    Problem,
+    pool_of,
+)
+from suspnet.curves.protocols import BODY_MASS_COLUMN
 from suspnet.estimation.estimate import Flags
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.flags import WORN, OODDetector, Residual, Unexplained
@@ -21,24 +34,11 @@ from suspnet.estimation.from_curves import (
     regress,
     residual_scales,
 )
-from suspnet.estimation.information import shifts
 from suspnet.estimation.intervals import Conformal, Intervals, residuals
-from suspnet.estimation.problem import (
-    BATCH,
-    BLOCK,
-    CALIBRATE,
-    STREAM_NAMES,
-    TRAIN,
-    FeatureData,
-    Problem,
-    pool_of,
-)
-from suspnet.estimation.protocols import BODY_MASS_COLUMN
 from suspnet.estimation.refine import Refined
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.types import FloatArray
 from suspnet.runs.fit import flag
-from suspnet.spectra.estimate_observer import EstimateObserver
 
 N_FITS, N_UNCERTAIN_FITS = 2048, 48
 """Refined calibration curves from which the usual misfit is learnt; the second number applies

@@ -10,7 +10,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from suspnet.report.figures import SYMBOLS
+from suspnet.runs.figures import SYMBOLS
 from suspnet.runs.plots import legend_above
 from suspnet.runs.tables import MODEL_TITLES, PUBLISHED, Record, in_digits, markdown, write_study
 

@@ -11,23 +11,23 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from suspnet.estimation.estimate import KINDS
-from suspnet.estimation.fitted import FittedMethod
-from suspnet.estimation.information import (
+from suspnet.bounds.information import (
     best_possible,
     output_bounds,
     over_bound,
     range_limited,
     relative_percent,
 )
-from suspnet.estimation.problem import TEST, Problem
-from suspnet.estimation.protocols import Task
+from suspnet.curves.problem import TEST, Problem
+from suspnet.curves.protocols import Task
+from suspnet.estimation.estimate import KINDS
+from suspnet.estimation.fitted import FittedMethod
 from suspnet.ground.types import FloatArray
 from suspnet.learning.metrics import METRICS, interval_scores, score, score_where
-from suspnet.report.tensorboard import RunLog
 from suspnet.runs import plots
 from suspnet.runs.predict import Outcome
 from suspnet.runs.tables import REFINED, scores_table
+from suspnet.runs.tensorboard import RunLog
 
 log = logging.getLogger(__name__)
 Metrics = dict[str, Any]

@@ -15,9 +15,9 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 from tabulate import tabulate
 
+from suspnet.ground.core_yaml import read_yaml
 from suspnet.ground.ledger import HYDRA
 from suspnet.ground.storage import read_json, write_atomically, write_json
-from suspnet.recordings.core_yaml import read_yaml
 from suspnet.runs import plots
 from suspnet.runs.fair import write_fair
 from suspnet.runs.readings import write_readings

@@ -16,7 +16,7 @@ from tabulate import tabulate
 
 from suspnet.ground.storage import write_atomically, write_json
 from suspnet.learning.metrics import METRICS
-from suspnet.report.tensorboard import RunLog
+from suspnet.runs.tensorboard import RunLog
 
 log = logging.getLogger(__name__)
 REFINED = "+refine"

@@ -22,10 +22,11 @@ from typing import Any
 import torch
 from tabulate import tabulate
 
+from suspnet.curves.problem import TEST, Problem
+from suspnet.curves.speeds import SpeedRange
 from suspnet.estimation.checkpoint import check_restores, check_saveable, write_model
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.flags import Residual
-from suspnet.estimation.problem import TEST, Problem
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground import ledger
 from suspnet.ground.parameters import REVERSE
@@ -34,7 +35,6 @@ from suspnet.ground.settings import check_number
 from suspnet.ground.storage import write_json
 from suspnet.learning import ranks
 from suspnet.learning.search import GridSearch, SearchResult
-from suspnet.report.tensorboard import RunLog
 from suspnet.runs.fit import check_hyperparameters, fit, method_name, tune
 from suspnet.runs.predict import (
     Outcome,
@@ -51,7 +51,7 @@ from suspnet.runs.scores import (
     rms_percent,
     scores,
 )
-from suspnet.spectra.speeds import SpeedRange
+from suspnet.runs.tensorboard import RunLog
 
 log = logging.getLogger(__name__)
 PACKAGES = ("suspnet", "torch", "numpy", "scipy", "scikit-learn", "hydra-core", "tensorboard")

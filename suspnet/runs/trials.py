@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from suspnet.report.tensorboard import RunLog
+from suspnet.runs.tensorboard import RunLog
 
 TRIALS = "trials"
 """Folder of a multirun with a run of TensorBoard for each trial of its searches."""

@@ -17,9 +17,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from sklearn.multioutput import MultiOutputRegressor
 
-from suspnet.dynamics import ResponseGenerator
-from suspnet.estimation.problem import TEST, TRAIN, Problem
-from suspnet.estimation.protocols import Protocol
+from suspnet.curves.estimates import Observation
+from suspnet.curves.problem import TEST, TRAIN, Problem
+from suspnet.curves.protocols import Protocol
 from suspnet.ground.parameters import PARAMETERS
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.settings import Setting, check_choice, check_number, check_settings, setting
@@ -29,7 +29,7 @@ from suspnet.learning import MSVR, Scaling
 from suspnet.learning.search import GridSearch
 from suspnet.runs.plots import grid
 from suspnet.runs.tables import Record, grouped, markdown, write_study
-from suspnet.spectra.estimates import Observation
+from suspnet.vehicle import ResponseGenerator
 
 LABELS = {
     "exact": "none",

@@ -7,7 +7,7 @@ from cli_runner import run_program
 from test_trips_program import BAND, EVALUATE, SHORT, TRAIN
 
 from suspnet.cli import evaluate, simulate, train
-from suspnet.recordings.manifest_files import read_manifest
+from suspnet.trains.recordings.manifest_files import read_manifest
 
 QUICK = [*TRAIN, *BAND, "figures=false", "data.n_train=300", "data.n_test=50"]
 QUICK += ["data.n_calibrate=null"]

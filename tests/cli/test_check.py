@@ -25,17 +25,13 @@ from trip_fixtures import changed, signal, small_fleet
 from suspnet.cli import check, options
 from suspnet.cli.config_files import CONFIGS
 from suspnet.cli.kinds import read_vehicles
+from suspnet.curves.welch import Welch
 from suspnet.ground.findings import Finding, of, together
 from suspnet.ground.ledger import LEDGER
 from suspnet.ground.records import Place
-from suspnet.recordings.formats import READERS
-from suspnet.recordings.manifest_files import find_trips, read_manifest
-from suspnet.recordings.reader_process import in_own_process
-from suspnet.recordings.recording import load_recording
-from suspnet.report.language import speaking
-from suspnet.spectra.welch import Welch
-from suspnet.trips.check import CheckSettings, check_trip
-from suspnet.trips.check_page import (
+from suspnet.runs.language import speaking
+from suspnet.trains.jobs.check import CheckSettings, check_trip
+from suspnet.trains.pages.check_page import (
     NEED_A_VEHICLE,
     PARTLY,
     PROBLEM,
@@ -46,6 +42,10 @@ from suspnet.trips.check_page import (
     summary,
     write_checks,
 )
+from suspnet.trains.recordings.formats import READERS
+from suspnet.trains.recordings.manifest_files import find_trips, read_manifest
+from suspnet.trains.recordings.reader_process import in_own_process
+from suspnet.trains.recordings.recording import load_recording
 
 N_GOOD = 2
 """Number of trips that are checked; the first is drawn, which takes a second, others are blank."""

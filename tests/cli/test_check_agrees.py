@@ -10,15 +10,15 @@ from trip_fixtures import changed, model_at, write_trips
 
 from suspnet.cli import check
 from suspnet.cli.kinds import read_vehicles
+from suspnet.curves.estimates import SPEED_HALF_WIDTH
+from suspnet.curves.speeds import SpeedRange, covering
 from suspnet.estimation.checkpoint import save_model
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import OK
 from suspnet.runs.train import speed_ranges
-from suspnet.spectra.estimates import SPEED_HALF_WIDTH
-from suspnet.spectra.speeds import SpeedRange, covering
-from suspnet.trips.check import CheckSettings, check_trip
-from suspnet.trips.check_page import READY, TOO_LITTLE
-from suspnet.trips.trip import evaluate_trip
+from suspnet.trains.jobs.check import CheckSettings, check_trip
+from suspnet.trains.pages.check_page import READY, TOO_LITTLE
+from suspnet.trains.trips.trip import evaluate_trip
 
 LOW, HIGH = 61.0, 78.0
 

@@ -12,15 +12,15 @@ from omegaconf import OmegaConf
 from trip_fixtures import changed, small_fleet
 
 from suspnet.cli import commission_fleet, folders, train
-from suspnet.estimation import healthy_trips
 from suspnet.estimation.checkpoint import load_model
 from suspnet.ground import ledger
 from suspnet.ground.records import Place
 from suspnet.ground.storage import write_json
-from suspnet.runs import commissioning as run
-from suspnet.runs.commissioning_page import as_json
 from suspnet.runs.evaluate import find_runs
-from suspnet.trips.commissionings import models_of, place_of
+from suspnet.trains.identification import healthy_trips
+from suspnet.trains.jobs import commissioning as run
+from suspnet.trains.pages.commissioning_page import as_json
+from suspnet.trains.trips.commissionings import models_of, place_of
 
 pytestmark = pytest.mark.usefixtures("blank")
 FEW = ["data.n_train=100", "data.n_test=20", "data.n_calibrate=null", *QUIET]

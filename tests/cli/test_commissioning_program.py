@@ -12,11 +12,11 @@ from omegaconf import OmegaConf
 from trip_fixtures import changed, small_fleet
 
 from suspnet.cli import train
+from suspnet.curves.estimates import WIDE_SPEED_HALF_WIDTH
+from suspnet.curves.speeds import SpeedRange, range_words
 from suspnet.estimation.checkpoint import load_model
 from suspnet.ground.storage import write_json
-from suspnet.runs import commissioning as run
-from suspnet.spectra.estimates import WIDE_SPEED_HALF_WIDTH
-from suspnet.spectra.speeds import SpeedRange, range_words
+from suspnet.trains.jobs import commissioning as run
 
 pytestmark = pytest.mark.usefixtures("blank")
 FEW = ["data.n_train=100", "data.n_test=20", "data.n_calibrate=null", *QUIET]
@@ -77,7 +77,7 @@ def test_run_goes_on_with_a_warning_if_one_start_alone_found_the_vehicle(
         assert run_program(train, tmp_path / "run", *TRIPS, f"healthy={folder}") == 0
     assert trained[0]["commissioned"]["n_trips"] == 3
     assert trained[0]["commissioned"]["converged"] is False
-    said = [r.getMessage() for r in caplog.records if r.name == "suspnet.runs.commissioning"]
+    said = [r.getMessage() for r in caplog.records if r.name == "suspnet.trains.jobs.commissioning"]
     assert "did not converge" in said[0]
     assert "no other one found this vehicle" in said[1]
     assert 'class="result notice"' in (tmp_path / "run" / "commissioning.html").read_text()

@@ -10,11 +10,11 @@ from omegaconf import OmegaConf
 
 from suspnet.cli.config_files import TABLES
 from suspnet.cli.kinds import KINDS, PARTS, build, class_of, read_protocol, read_vehicles
-from suspnet.dynamics import Vehicle, VerticalVehicle, best_generator
-from suspnet.dynamics.vehicle import GEOMETRY
-from suspnet.estimation.protocols import Protocol
+from suspnet.curves.extraction import PeakFeatures
+from suspnet.curves.protocols import Protocol
 from suspnet.learning import METHODS
-from suspnet.spectra.extraction import PeakFeatures
+from suspnet.vehicle import Vehicle, VerticalVehicle, best_generator
+from suspnet.vehicle.vehicle import GEOMETRY
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 NAMES = {

@@ -8,9 +8,9 @@ from cli_runner import run_program
 
 from suspnet.cli import evaluate, simulate, train
 from suspnet.estimation.checkpoint import load_model
-from suspnet.history import History
 from suspnet.runs.evaluate import find_runs
-from suspnet.trips.commissionings import place_of
+from suspnet.trains.history import History
+from suspnet.trains.trips.commissionings import place_of
 
 CHEAP = [
     *("data.segment_s=10", "data.n_train=2000", "data.n_test=100", "data.n_calibrate=100"),

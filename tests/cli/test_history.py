@@ -8,8 +8,8 @@ from suspnet.cli.history import history
 from suspnet.cli.options import history_parser
 from suspnet.ground.parameters import Cause, Severity
 from suspnet.ground.records import Place
-from suspnet.history import History, HistoryError
-from suspnet.maintenance.alarms import Alarm
+from suspnet.trains.history import History, HistoryError
+from suspnet.trains.maintenance.alarms import Alarm
 
 PLACE = Place("bogie 1, left")
 OTHER = Place("x", "leading", train="4", car="7")

@@ -12,10 +12,10 @@ from recording_files import WRITERS
 from trip_fixtures import RATES_HZ, signal, small_fleet
 
 from suspnet.cli import check, init
-from suspnet.recordings.manifest import CHANNELS
-from suspnet.recordings.manifest_files import read_manifest
-from suspnet.trips.file_contents import guessed_meaning, guessed_side, look_into, names_times
-from suspnet.trips.manifest_template import BLANK
+from suspnet.trains.recordings.manifest import CHANNELS
+from suspnet.trains.recordings.manifest_files import read_manifest
+from suspnet.trains.trips.file_contents import guessed_meaning, guessed_side, look_into, names_times
+from suspnet.trains.trips.manifest_template import BLANK
 
 FILLED = {"vehicle": "am96", "suspension": "car 7", "mileage_km": "1000.0"}
 

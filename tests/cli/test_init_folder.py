@@ -16,12 +16,12 @@ from trip_fixtures import RATES_HZ, signal, small_fleet
 
 from suspnet.cli import check, init
 from suspnet.cli.config_files import CONFIGS
-from suspnet.dynamics import Vehicle
 from suspnet.ground import ledger
 from suspnet.ground.storage import write_atomically
-from suspnet.recordings.manifest import CHANNELS
-from suspnet.recordings.manifest_files import read_manifest
-from suspnet.trips.trip_files import find_tables, find_trip_files
+from suspnet.trains.recordings.manifest import CHANNELS
+from suspnet.trains.recordings.manifest_files import read_manifest
+from suspnet.trains.trips.trip_files import find_tables, find_trip_files
+from suspnet.vehicle import Vehicle
 
 WORDS = ("Achslager", "Rahmen", "Wagenkasten")
 SAID = ("vehicle=am96", "suspension=car 7", "speed=70", "unit=m/s2", "rate_hz=250", "side=left")

@@ -9,7 +9,7 @@ from trip_fixtures import changed, model_at, small_fleet
 
 from suspnet.cli import monitor, replay
 from suspnet.estimation.checkpoint import save_model
-from suspnet.history import History
+from suspnet.trains.history import History
 
 LIVE = ("source=folder", "source.folder=incoming", "source.once=true", "live.section_s=300")
 N_TRIPS = 2

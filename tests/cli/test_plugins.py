@@ -19,13 +19,13 @@ from sklearn.linear_model import Ridge
 from suspnet import TEST, LinearRegression, Problem, load_model, save_model, train
 from suspnet.cli import kinds, plugins
 from suspnet.cli import train as program
+from suspnet.curves.components import FEATURE_SETS
+from suspnet.curves.curves import CurveSettings
+from suspnet.curves.extraction import FeatureSet, FeatureTable
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.learning import METHODS
 from suspnet.runs.fit import fit
 from suspnet.runs.tables import MODEL_TITLES
-from suspnet.spectra.components import FEATURE_SETS
-from suspnet.spectra.curves import CurveSettings
-from suspnet.spectra.extraction import FeatureSet, FeatureTable
 
 PAGE = (Path(__file__).parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
 CODE = "\n".join(

@@ -11,8 +11,8 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 
 from suspnet.cli import evaluate, program, train
+from suspnet.curves.problem import Problem
 from suspnet.estimation.estimate import KINDS
-from suspnet.estimation.problem import Problem
 from suspnet.runs.dataset import read_dataset
 
 pytestmark = pytest.mark.usefixtures("blank")

@@ -12,7 +12,7 @@ from suspnet.cli import check, evaluate, init, options, simulate, train
 from suspnet.cli.config_files import CONFIGS, SWITCHES, TABLES, phrase, read_comments
 from suspnet.cli.program import n_threads
 from suspnet.cli.reference import COLUMNS, Reference
-from suspnet.simulation.true_vehicle import scattered
+from suspnet.trains.simulation.true_vehicle import scattered
 
 ROOT = Path(__file__).parents[2]
 sys.path += [str(ROOT / "benchmarks"), str(ROOT / "docs")]

@@ -19,7 +19,7 @@ from served_fleet import fill
 
 from suspnet.cli import evaluate, serve
 from suspnet.cli.config_files import CONFIGS
-from suspnet.history import History
+from suspnet.trains.history import History
 
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 ENDS = [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)]

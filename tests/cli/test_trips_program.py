@@ -26,12 +26,12 @@ from suspnet.cli.kinds import build
 from suspnet.cli.program import CONFIGS
 from suspnet.estimation.checkpoint import save_model
 from suspnet.ground.parameters import Severity
-from suspnet.recordings import formats
-from suspnet.recordings.manifest import CHANNELS
-from suspnet.report import output
-from suspnet.report.tensorboard import RunLog
-from suspnet.simulation.true_vehicle import scattered, true_numbers
-from suspnet.trips import fleet
+from suspnet.runs.tensorboard import RunLog
+from suspnet.trains.jobs import fleet
+from suspnet.trains.pages import output
+from suspnet.trains.recordings import formats
+from suspnet.trains.recordings.manifest import CHANNELS
+from suspnet.trains.simulation.true_vehicle import scattered, true_numbers
 
 VEHICLES = [path.stem for path in sorted((ROOT / "configs" / "vehicle").glob("*.yaml"))]
 CARS = ("sedan", "truck")

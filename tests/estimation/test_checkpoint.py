@@ -10,19 +10,19 @@ import torch
 from protocols import shipped_protocol
 from vehicles import AM96
 
-from suspnet.dynamics import QuarterCar, VerticalVehicle
-from suspnet.dynamics.quantities import LogNormal
+from suspnet.curves.curves import CurveSettings
+from suspnet.curves.estimates import EstimateSettings
+from suspnet.curves.problem import Problem
 from suspnet.estimation.checkpoint import load_model, save_model
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.flags import OODDetector, Unexplained
 from suspnet.estimation.intervals import Conformal, Intervals, ResidualScale
-from suspnet.estimation.problem import Problem
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.parameters import DEFAULT_LIMITS
 from suspnet.ground.storage import content_hash, dump_arrays, read_arrays
 from suspnet.learning import METHODS, MSVR, MVGPR, SVR, CurveFit, LinearRegression, Scaling
-from suspnet.spectra.curves import CurveSettings
-from suspnet.spectra.estimates import EstimateSettings
+from suspnet.vehicle import QuarterCar, VerticalVehicle
+from suspnet.vehicle.quantities import LogNormal
 
 FITTED = [
     MSVR(n_components=64),

@@ -13,16 +13,16 @@ from protocols import shipped_protocol
 from trip_fixtures import BAND, NoLog
 from vehicles import AM96
 
-from suspnet.dynamics import QuarterCar, VerticalVehicle
+from suspnet.curves.curves import CurveSettings
+from suspnet.curves.estimates import EstimateSettings
+from suspnet.curves.problem import Problem
 from suspnet.estimation.checkpoint import load_model, save_model
 from suspnet.estimation.fitted import ModelFileError
-from suspnet.estimation.problem import Problem
 from suspnet.ground.storage import content_hash, dump_arrays, read_arrays
 from suspnet.learning import MSVR, MVGPR, SVR, CurveFit, LinearRegression
 from suspnet.runs.fit import fit
 from suspnet.runs.predict import calibrated
-from suspnet.spectra.curves import CurveSettings
-from suspnet.spectra.estimates import EstimateSettings
+from suspnet.vehicle import QuarterCar, VerticalVehicle
 
 METHODS = {
     "linear": lambda: LinearRegression(),

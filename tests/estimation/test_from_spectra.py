@@ -10,17 +10,17 @@ import torch
 from scipy import stats
 from trip_fixtures import OUTPUTS, model_at
 
-from suspnet.dynamics import PARAMETERS
-from suspnet.dynamics.quantities import FAILED_OTHER, OF_THE_TRIP, UNMEASURED, LogNormal
+from suspnet.bounds.information import output_bounds
+from suspnet.curves import cross_spectra
+from suspnet.curves.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
+from suspnet.curves.speeds import NoEstimateError
 from suspnet.estimation import from_spectra as trust
 from suspnet.estimation.flags import Unexplained
 from suspnet.estimation.from_curves import corrected, estimate_curves
 from suspnet.estimation.from_spectra import CORRECTIONS, ONE_SIGMA, estimate_with_noise
-from suspnet.estimation.information import output_bounds
 from suspnet.estimation.intervals import Conformal, Intervals
-from suspnet.spectra import cross_spectra
-from suspnet.spectra.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
-from suspnet.spectra.speeds import NoEstimateError
+from suspnet.vehicle import PARAMETERS
+from suspnet.vehicle.quantities import FAILED_OTHER, OF_THE_TRIP, UNMEASURED, LogNormal
 
 LEVEL = 0.9
 WORN = {"k_p": 0.8, "c_s": 0.7, "M_s": 1.1}

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from vehicles import AM96
 
-from suspnet.dynamics import PARAMETERS, QuarterCar, SpatialVehicle, VerticalVehicle
-from suspnet.dynamics.quantities import LogNormal
 from suspnet.estimation.estimate import Estimate, Flags, HealthyValues
 from suspnet.ground.parameters import COMPONENTS, SIDES
+from suspnet.vehicle import PARAMETERS, QuarterCar, SpatialVehicle, VerticalVehicle
+from suspnet.vehicle.quantities import LogNormal
 
 POSTERIOR = LogNormal(
     ("healthy_c_p", "body_gyration", "healthy_k_s"),

@@ -7,7 +7,8 @@ import pytest
 import torch
 from vehicles import AM96
 
-from suspnet.dynamics import PARAMETERS, QuarterCar
+from suspnet.curves.curves import CurveMisfit, CurveSettings
+from suspnet.curves.problem import TEST
 from suspnet.estimation.estimate import KINDS, Flags
 from suspnet.estimation.flags import (
     EDGE_DEVIATIONS,
@@ -17,9 +18,8 @@ from suspnet.estimation.flags import (
     N_REFERENCE,
     OODDetector,
 )
-from suspnet.estimation.problem import TEST
 from suspnet.estimation.refine import Refined, refine
-from suspnet.spectra.curves import CurveMisfit, CurveSettings
+from suspnet.vehicle import PARAMETERS, QuarterCar
 
 CLOUD, MISFIT = 1, 3
 OWN = KINDS.index("physics")

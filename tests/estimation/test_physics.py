@@ -8,11 +8,11 @@ import pytest
 import torch
 from trip_fixtures import OUTPUTS, model_at
 
+from suspnet.curves.problem import Problem
 from suspnet.estimation.estimate import KINDS, Estimate, Flags
 from suspnet.estimation.flags import COSTLY, NOT_CONVERGED, UNTRUSTED, Residual, Unexplained
 from suspnet.estimation.from_curves import estimate_curves
 from suspnet.estimation.from_spectra import COMMON, UNWORN, estimate_with_noise, unworn_deviations
-from suspnet.estimation.problem import Problem
 from suspnet.ground.types import FloatArray
 from suspnet.runs.predict import with_unexplained
 

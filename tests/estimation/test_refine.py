@@ -10,14 +10,14 @@ import torch
 from scipy import optimize
 from vehicles import AM96
 
-from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
+from suspnet.bounds.information import output_bounds
+from suspnet.curves.curves import CurveMisfit, CurveSettings
+from suspnet.curves.estimates import EstimateSettings
+from suspnet.curves.expected_spectra import EstimateMisfit
+from suspnet.curves.problem import TEST
 from suspnet.estimation import refine as module
-from suspnet.estimation.information import output_bounds
-from suspnet.estimation.problem import TEST
 from suspnet.estimation.refine import BEYOND, Refined, refine
-from suspnet.spectra.curves import CurveMisfit, CurveSettings
-from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.expected_spectra import EstimateMisfit
+from suspnet.vehicle import PARAMETERS, QuarterCar, VerticalVehicle
 
 SNR_DB = 34.0
 SETTINGS = CurveSettings(snr_db=SNR_DB, low_hz=0.3, high_hz=15.0, step_hz=0.05, cache_dir=None)

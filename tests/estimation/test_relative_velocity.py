@@ -10,12 +10,12 @@ from scipy.stats import norm
 from trip_fixtures import model_at
 from vehicles import AM96
 
-from suspnet.dynamics import VerticalVehicle
-from suspnet.estimation.commissioning import commission
+from suspnet.curves.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
+from suspnet.curves.estimates import EstimateSettings
+from suspnet.curves.speeds import Speeds
 from suspnet.estimation.damping_laws import DampingNumbers
 from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.from_spectra import estimate_with_noise
-from suspnet.estimation.healthy_misfit import HealthySpectra
 from suspnet.estimation.relative_velocity import (
     NOTE,
     DampingByVelocity,
@@ -23,9 +23,9 @@ from suspnet.estimation.relative_velocity import (
     prior,
     relative_velocities,
 )
-from suspnet.spectra.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
-from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.speeds import Speeds
+from suspnet.trains.fits.commissioning import commission
+from suspnet.trains.fits.healthy_misfit import HealthySpectra
+from suspnet.vehicle import VerticalVehicle
 
 COVARIANCE = np.diag([1e-4, 1e-4, 0.04, 1.0, 0.25])
 COVARIANCE[1, 3] = COVARIANCE[3, 1] = 1e-3

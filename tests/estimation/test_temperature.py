@@ -10,10 +10,10 @@ from scipy.stats import norm
 from trip_fixtures import changed, model_at, write_trips
 from vehicles import AM96
 
-from suspnet.dynamics import VerticalVehicle
-from suspnet.estimation.commissioning import commission
+from suspnet.curves.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
+from suspnet.curves.estimates import EstimateSettings
+from suspnet.curves.speeds import Speeds
 from suspnet.estimation.estimate import Estimate, Flags
-from suspnet.estimation.healthy_misfit import HealthyMisfit, HealthySpectra
 from suspnet.estimation.temperature import (
     DAMPINGS,
     NOTE,
@@ -23,12 +23,12 @@ from suspnet.estimation.temperature import (
     kelvins_warmer,
 )
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.simulation.fleet import Scenario
-from suspnet.spectra.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
-from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.speeds import Speeds
-from suspnet.trips.details import healthy_words
-from suspnet.trips.trip import evaluate_trip
+from suspnet.trains.fits.commissioning import commission
+from suspnet.trains.fits.healthy_misfit import HealthyMisfit, HealthySpectra
+from suspnet.trains.pages.details import healthy_words
+from suspnet.trains.simulation.fleet import Scenario
+from suspnet.trains.trips.trip import evaluate_trip
+from suspnet.vehicle import VerticalVehicle
 
 SETTINGS = EstimateSettings(
     segment_s=5.0, rates_hz=(1000.0, 500.0, 500.0), high_hz=9.9, body_high_hz=9.0

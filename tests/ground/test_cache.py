@@ -120,6 +120,6 @@ def test_no_folder_keeps_nothing():
 
 
 def test_hash_is_that_of_this_package_and_of_code_that_is_there():
-    assert cache.code_hash() != cache.code_hash("dynamics") != cache.code_hash("ground/cache.py")
+    assert cache.code_hash() != cache.code_hash("vehicle") != cache.code_hash("ground/cache.py")
     with pytest.raises(FileNotFoundError, match="no such code"):
         cache.code_hash("dynamic")

@@ -24,8 +24,8 @@ from suspnet.ground.storage import (
     read_plain,
     stored_bytes,
 )
-from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest_files import read_manifest
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.manifest_files import read_manifest
 
 SECONDS = 5.0
 

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from suspnet.cli.kinds import KINDS, class_of
+from suspnet.curves.components import CurveFeatures
+from suspnet.curves.extraction import PeakFeatures
 from suspnet.ground.settings import (
     Setting,
     check_number,
@@ -17,9 +19,7 @@ from suspnet.ground.settings import (
     setting,
     settings_of,
 )
-from suspnet.simulation.signals import Sensor
-from suspnet.spectra.components import CurveFeatures
-from suspnet.spectra.extraction import PeakFeatures
+from suspnet.trains.simulation.signals import Sensor
 
 CLASSES = [
     *(class_of(place, kind) for place, kinds in KINDS.items() for kind in kinds if kind != "best"),

@@ -9,8 +9,8 @@ import pytest
 from cli_runner import typed
 
 from suspnet.cli import history, serve
-from suspnet.history import History, HistoryError
-from suspnet.live.journal import Journal, JournalError
+from suspnet.depot.live.journal import Journal, JournalError
+from suspnet.trains.history import History, HistoryError
 
 OPENED = {"store": (History, HistoryError), "journal": (Journal, JournalError)}
 LIVE = """

@@ -6,15 +6,15 @@ import torch
 from threadpoolctl import threadpool_info
 from vehicles import AM96
 
-from suspnet.dynamics import QuarterCar, VerticalVehicle
-from suspnet.estimation.information import fisher_information
+from suspnet.bounds.information import fisher_information
+from suspnet.curves.components import CurveFeatures
+from suspnet.curves.curves import CurveSettings
+from suspnet.curves.extraction import PeakFeatures
+from suspnet.curves.peaks import findpeaks
+from suspnet.curves.welch import tfestimate
 from suspnet.ground.tensors import complex_log, squared_size, threads
 from suspnet.learning import MSVR, MVGPR
-from suspnet.spectra.components import CurveFeatures
-from suspnet.spectra.curves import CurveSettings
-from suspnet.spectra.extraction import PeakFeatures
-from suspnet.spectra.peaks import findpeaks
-from suspnet.spectra.welch import tfestimate
+from suspnet.vehicle import QuarterCar, VerticalVehicle
 
 RATIOS = np.random.default_rng(0).uniform(0.5, 2.0, (3, 5))
 BINS_HZ = np.arange(1, 200) * 0.1

@@ -4,8 +4,8 @@ import pytest
 import sqlalchemy
 from empty_stores import KINDS, empty_store
 
-from suspnet.history import History
-from suspnet.history.database import database_url
+from suspnet.trains.history import History
+from suspnet.trains.history.database import database_url
 
 
 @pytest.fixture(params=KINDS)

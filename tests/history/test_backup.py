@@ -9,10 +9,10 @@ import pytest
 import served_fleet
 from trip_records import trip
 
-from suspnet.history import History, HistoryError
-from suspnet.history.backup import back_up, restore
-from suspnet.report.board import Board, Refresher
-from suspnet.web.app import create_app
+from suspnet.depot.web.app import create_app
+from suspnet.trains.history import History, HistoryError
+from suspnet.trains.history.backup import back_up, restore
+from suspnet.trains.pages.board import Board, Refresher
 
 
 def pages(path):
@@ -130,7 +130,7 @@ def test_a_damaged_backup_or_a_full_disk_leaves_nothing_behind(tmp_path, monkeyp
     def full(*_):
         raise sqlite3.OperationalError("database or disk is full")
 
-    monkeypatch.setattr("suspnet.history.backup.os.replace", full)
+    monkeypatch.setattr("suspnet.trains.history.backup.os.replace", full)
     with pytest.raises(HistoryError, match="disk is full"):
         back_up(str(path), tmp_path / "third.db")
     assert sorted(os.listdir(tmp_path)) == ["copy.db", "fleet.db"]

@@ -6,8 +6,8 @@ import numpy as np
 from trip_records import trip
 
 from suspnet.ground.records import Place
-from suspnet.history.arrays import Reference
-from suspnet.maintenance.series import Event, series_of
+from suspnet.trains.history.arrays import Reference
+from suspnet.trains.maintenance.series import Event, series_of
 
 PLACE = Place("x")
 HEALTHY = {"k_p": 1.2e6, "c_s": 3e4}

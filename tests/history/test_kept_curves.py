@@ -14,9 +14,9 @@ from trip_records import curves, trip
 
 from suspnet.ground.records import Place
 from suspnet.ground.storage import dump_arrays
-from suspnet.history import History, HistoryError
-from suspnet.history.arrays import N_NEWEST
-from suspnet.history.schema import curves as table
+from suspnet.trains.history import History, HistoryError
+from suspnet.trains.history.arrays import N_NEWEST
+from suspnet.trains.history.schema import curves as table
 
 PLACE = Place("bogie 1, left")
 VEHICLE = "AM96 217"

@@ -10,10 +10,10 @@ from trip_records import trip
 
 from suspnet.ground.parameters import Cause, Severity
 from suspnet.ground.records import Place
-from suspnet.history import History
-from suspnet.history.database import database_url
-from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm
-from suspnet.maintenance.series import Event
+from suspnet.trains.history import History
+from suspnet.trains.history.database import database_url
+from suspnet.trains.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm
+from suspnet.trains.maintenance.series import Event
 
 VEHICLE = "AM96 217"
 PLACES = [Place("a"), Place("b")]

@@ -6,8 +6,8 @@ import numpy as np
 from trip_records import HALF_WIDTHS, OUTPUTS, flagged, fleet, trip
 
 from suspnet.ground.records import Place
-from suspnet.history import arrays as module
-from suspnet.maintenance.series import Event
+from suspnet.trains.history import arrays as module
+from suspnet.trains.maintenance.series import Event
 
 
 def test_arrays_hold_what_the_trips_do(store, monkeypatch):

@@ -14,11 +14,11 @@ from trip_records import fleet, trip
 
 from suspnet.ground.parameters import BOGIE_PARTS, Cause, Severity
 from suspnet.ground.records import VALUES, Place, Quality, TripResult
-from suspnet.history import History, HistoryError
-from suspnet.history.schema import SCHEMA, suspensions, trips
-from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm
-from suspnet.maintenance.series import Event
-from suspnet.report.bogie import worn_entries
+from suspnet.trains.history import History, HistoryError
+from suspnet.trains.history.schema import SCHEMA, suspensions, trips
+from suspnet.trains.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm
+from suspnet.trains.maintenance.series import Event
+from suspnet.trains.pages.bogie import worn_entries
 
 PLACE = Place("bogie 1, left")
 VEHICLE = "AM96 217"

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from live_frames import encoded, frame
 
-from suspnet.live.source import Splitter
-from suspnet.recordings.frames import MOST_BYTES, MOST_SAMPLES, encode
+from suspnet.depot.live.source import Splitter
+from suspnet.trains.recordings.frames import MOST_BYTES, MOST_SAMPLES, encode
 
 FRAMES = [
     *encoded(3),

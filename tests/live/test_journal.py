@@ -5,7 +5,7 @@ from contextlib import closing
 
 import pytest
 
-from suspnet.live.journal import READ_AT_ONCE, Journal, JournalError
+from suspnet.depot.live.journal import READ_AT_ONCE, Journal, JournalError
 
 
 def filled(path):
@@ -55,7 +55,7 @@ def test_frames_come_back_in_their_order(tmp_path):
 
 
 def test_close_waits_for_the_batch_that_is_being_written(tmp_path, monkeypatch):
-    monkeypatch.setattr("suspnet.live.journal.WRITTEN_AT_ONCE", 1)  # it takes a while
+    monkeypatch.setattr("suspnet.depot.live.journal.WRITTEN_AT_ONCE", 1)  # it takes a while
     frames = [str(k).encode() for k in range(20_000)]
     journal = Journal(tmp_path / "journal")
     for frame in frames:

@@ -14,18 +14,18 @@ from monitor_frames import AtOnce, ListSource, all_frames, by_time, mileage_fram
 from stream_signals import disturbed, interleaved
 from trip_fixtures import OUTPUTS, model_at, recalled_trip, small_fleet
 
+from suspnet.depot.live.journal import Journal, JournalError
+from suspnet.depot.live.monitor import Monitor
+from suspnet.depot.live.results import Results
+from suspnet.depot.live.sections import LiveSettings
+from suspnet.depot.live.suspension import EstimateJob, LiveSuspension, read_suspensions
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.history import History, HistoryError
-from suspnet.live.journal import Journal, JournalError
-from suspnet.live.monitor import Monitor
-from suspnet.live.results import Results
-from suspnet.live.sections import LiveSettings
-from suspnet.live.suspension import EstimateJob, LiveSuspension, read_suspensions
-from suspnet.recordings.assembler import OrderSettings
-from suspnet.recordings.errors import TripError
-from suspnet.recordings.frames import Frame, decode, encode
-from suspnet.recordings.manifest_files import read_manifest
-from suspnet.trips.fleet import FleetSettings
+from suspnet.trains.history import History, HistoryError
+from suspnet.trains.jobs.fleet import FleetSettings
+from suspnet.trains.recordings.assembler import OrderSettings
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.frames import Frame, decode, encode
+from suspnet.trains.recordings.manifest_files import read_manifest
 
 WINDOW = 6
 LIVE = LiveSettings(section_s=300, every_s=None, late_s=20.0, order=OrderSettings(WINDOW))
@@ -192,8 +192,8 @@ def test_frames_are_taken_while_an_estimate_is_made(tmp_path, fleet, monkeypatch
 def test_frames_are_taken_while_a_batch_is_written_but_only_so_many(
     tmp_path, fleet, monkeypatch, most
 ):
-    monkeypatch.setattr("suspnet.live.monitor.MAX_PENDING", 100)
-    monkeypatch.setattr("suspnet.live.monitor.MAX_UNWRITTEN", most)
+    monkeypatch.setattr("suspnet.depot.live.monitor.MAX_PENDING", 100)
+    monkeypatch.setattr("suspnet.depot.live.monitor.MAX_UNWRITTEN", most)
     frames = frames_of_trips(fleet[:1])
     source, is_slow = ListSource(frames), threading.Event()
     receive, write, taken = source.receive, Journal.write, []
@@ -356,7 +356,7 @@ def test_a_store_that_is_away_is_waited_for(tmp_path, fleet, monkeypatch):
         write(self, results)
 
     monkeypatch.setattr(History, "write", away)
-    monkeypatch.setattr("suspnet.live.results.WAIT_S", 0.0)
+    monkeypatch.setattr("suspnet.depot.live.results.WAIT_S", 0.0)
     found, _ = monitored(tmp_path, fleet, ListSource(frames_of_trips(fleet[:1])))
     assert len(found) == 1
     assert len(failed) == 2

@@ -32,13 +32,13 @@ from notified import (
     rules_file,
 )
 
+from suspnet.depot.live import notifier as notifier_module
+from suspnet.depot.live.channels import AddressError, DeliveryError, Email, Webhook
+from suspnet.depot.live.notification_rules import read_rules
+from suspnet.depot.live.notifier import Notifier
 from suspnet.ground.parameters import Severity
-from suspnet.history import History, outbox
-from suspnet.history.outbox import LEASE_S
-from suspnet.live import notifier as notifier_module
-from suspnet.live.channels import AddressError, DeliveryError, Email, Webhook
-from suspnet.live.notification_rules import read_rules
-from suspnet.live.notifier import Notifier
+from suspnet.trains.history import History, outbox
+from suspnet.trains.history.outbox import LEASE_S
 
 NIGHT = datetime(2026, 3, 31, 3, tzinfo=UTC)
 _DIGEST = {"kind": "digest", "id": "1", "day": "2026-03-31", "alarms": [], "n_suspensions": 0}
@@ -301,7 +301,7 @@ DRIPS = {
 def test_a_server_that_drips_its_answer_has_one_deadline_for_a_message(monkeypatch, what):
     """What it has accepted by its first line is accepted, and not sent again."""
     kind, answers, drip, is_accepted = DRIPS[what]
-    monkeypatch.setattr("suspnet.live.channels.DEADLINE_S", 0.5)
+    monkeypatch.setattr("suspnet.depot.live.channels.DEADLINE_S", 0.5)
     with dripping(answers, drip) as port:
         channel = {
             "webhook": lambda: Webhook(f"http://127.0.0.1:{port}/a?b=c"),
@@ -410,7 +410,7 @@ def test_a_program_killed_while_it_posts_loses_nothing(tmp_path, moment):
 
 def _notify_apart(path, rules, key, dies_before_mark):
     os.environ["SUSPNET_WEBHOOK_SECRET"] = key
-    from suspnet.history.outbox import Outbox
+    from suspnet.trains.history.outbox import Outbox
 
     if dies_before_mark:
         Outbox.mark_sent = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
@@ -498,7 +498,7 @@ def test_an_evaluation_sends_what_is_new_once(tmp_path, monkeypatch):
     from cli_runner import run_program  # here: killed programs import this module, and quickly
 
     from suspnet.cli import evaluate
-    from suspnet.history import store as module
+    from suspnet.trains.history import store as module
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(evaluate, "write_maintenance", lambda *_: [])

@@ -12,12 +12,12 @@ import yaml
 from live_frames import frame
 from trip_fixtures import changed, signal, write_trips
 
-from suspnet.live import replay as replay_module
-from suspnet.live.replay import Pace, Replay, trip_clock, trip_frames
-from suspnet.recordings.frames import end_ns
-from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.recording import load_recording
-from suspnet.recordings.running import Running
+from suspnet.depot.live import replay as replay_module
+from suspnet.depot.live.replay import Pace, Replay, trip_clock, trip_frames
+from suspnet.trains.recordings.frames import end_ns
+from suspnet.trains.recordings.manifest_files import read_manifest
+from suspnet.trains.recordings.recording import load_recording
+from suspnet.trains.recordings.running import Running
 
 SENSORS = ("axle_box", "bogie", "body")
 BEGIN = datetime(2026, 3, 1, 6, tzinfo=UTC)

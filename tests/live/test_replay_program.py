@@ -13,11 +13,11 @@ from live_frames import frame
 from trip_fixtures import changed, write_trips
 
 from suspnet.cli import replay
-from suspnet.live.drop_folder import DropFolder
-from suspnet.live.replay import Replay
-from suspnet.live.sinks import Folder, StandardOutput
-from suspnet.live.source import Splitter
-from suspnet.recordings.frames import decode, encode
+from suspnet.depot.live.drop_folder import DropFolder
+from suspnet.depot.live.replay import Replay
+from suspnet.depot.live.sinks import Folder, StandardOutput
+from suspnet.depot.live.source import Splitter
+from suspnet.trains.recordings.frames import decode, encode
 
 
 @pytest.fixture(scope="module")

@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
-from suspnet.estimation.worn_parts import WornPart
+from suspnet.depot.live.results import estimate_row, summary
+from suspnet.depot.live.suspension import SectionEstimate
 from suspnet.ground.records import OK, TripResult
-from suspnet.live.results import estimate_row, summary
-from suspnet.live.suspension import SectionEstimate
+from suspnet.trains.fits.worn_parts import WornPart
 
 WORN = WornPart(("c_p_axle2_left",), 1e6, 0.629).finding
 

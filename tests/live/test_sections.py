@@ -19,10 +19,10 @@ from stream_signals import (
     with_gaps,
 )
 
-from suspnet.live.sections import MAX_OPEN, LiveSettings, Sections
-from suspnet.recordings import cleaning
-from suspnet.recordings.assembler import OrderSettings
-from suspnet.recordings.frames import Frame, FrameError, encode
+from suspnet.depot.live.sections import MAX_OPEN, LiveSettings, Sections
+from suspnet.trains.recordings import cleaning
+from suspnet.trains.recordings.assembler import OrderSettings
+from suspnet.trains.recordings.frames import Frame, FrameError, encode
 
 ORDER = OrderSettings(window=WINDOW)
 SECTION_S = 200

@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from suspnet.live.operating_conditions import MAX_STEPS, SlowValues
-from suspnet.recordings.frames import Frame, FrameError
+from suspnet.depot.live.operating_conditions import MAX_STEPS, SlowValues
+from suspnet.trains.recordings.frames import Frame, FrameError
 
 SECOND = 10**9
 

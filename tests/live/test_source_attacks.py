@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from live_frames import encoded, frame
 
-from suspnet.live.drop_folder import DropFolder
-from suspnet.recordings.frames import encode
+from suspnet.depot.live.drop_folder import DropFolder
+from suspnet.trains.recordings.frames import encode
 
 OURS = encoded(6)
 GOOD = b"".join(OURS)

@@ -7,9 +7,9 @@ import time
 import pytest
 from live_frames import encoded, frame, numbers
 
-from suspnet.live import drop_folder
-from suspnet.live.drop_folder import DropFolder
-from suspnet.recordings.frames import encode
+from suspnet.depot.live import drop_folder
+from suspnet.depot.live.drop_folder import DropFolder
+from suspnet.trains.recordings.frames import encode
 
 FRAMES = encoded(30)
 

@@ -15,10 +15,10 @@ from contextlib import contextmanager
 import pytest
 from live_frames import Mosquitto, encoded, frame, numbers, received, until
 
-from suspnet.live.broker import Broker
-from suspnet.live.mqtt import TAKEN_OVER, Mqtt, is_in_shard, read_shard
-from suspnet.live.sinks import MqttSink
-from suspnet.recordings.frames import MOST_SAMPLES, encode
+from suspnet.depot.live.broker import Broker
+from suspnet.depot.live.mqtt import TAKEN_OVER, Mqtt, is_in_shard, read_shard
+from suspnet.depot.live.sinks import MqttSink
+from suspnet.trains.recordings.frames import MOST_SAMPLES, encode
 
 paho = pytest.importorskip("paho.mqtt.client")
 NAMES = [f"train {k // 4}, car {k % 4}, leading bogie" for k in range(12)]
@@ -28,7 +28,7 @@ ONE = "train 1, car 2"
 @pytest.fixture(autouse=True)
 def _impatient(monkeypatch):
     """Connect again soon."""
-    monkeypatch.setattr("suspnet.live.broker.BACKOFF_S", (0.05, 0.2))
+    monkeypatch.setattr("suspnet.depot.live.broker.BACKOFF_S", (0.05, 0.2))
 
 
 @contextmanager

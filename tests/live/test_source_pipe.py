@@ -9,8 +9,8 @@ import time
 import pytest
 from live_frames import encoded, frame, until
 
-from suspnet.live.source import Pipe
-from suspnet.recordings.frames import encode
+from suspnet.depot.live.source import Pipe
+from suspnet.trains.recordings.frames import encode
 
 FRAMES = encoded(50)
 

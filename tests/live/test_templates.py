@@ -9,13 +9,13 @@ from cli_runner import typed
 from trip_fixtures import RATES_HZ, model_at, signal, small_fleet
 
 from suspnet.cli import init
+from suspnet.depot.live.sections import LiveSettings
+from suspnet.depot.live.suspension import read_suspensions
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.live.sections import LiveSettings
-from suspnet.live.suspension import read_suspensions
-from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest import CHANNELS
-from suspnet.trips.fleet import FleetSettings
-from suspnet.trips.manifest_template import BLANK
+from suspnet.trains.jobs.fleet import FleetSettings
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.manifest import CHANNELS
+from suspnet.trains.trips.manifest_template import BLANK
 
 SETTINGS = FleetSettings(TripSettings())
 

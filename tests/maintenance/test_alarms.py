@@ -5,7 +5,7 @@ import math
 import pytest
 
 from suspnet.ground.parameters import Cause, Severity
-from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
+from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm, newest_of
 
 AT = "2026-11-22T13:00:00+00:00"
 

@@ -10,10 +10,10 @@ import pytest
 from depot_trips import place, trips
 
 from suspnet.ground.parameters import Cause, Severity
-from suspnet.history import History
-from suspnet.maintenance.alarms import Acknowledgement, Alarm
-from suspnet.maintenance.series import Event
-from suspnet.report.board import Board, BoardSettings
+from suspnet.trains.history import History
+from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm
+from suspnet.trains.maintenance.series import Event
+from suspnet.trains.pages.board import Board, BoardSettings
 
 pytestmark = pytest.mark.usefixtures("trips_fitted_once")
 SETTINGS = BoardSettings(today="2026-03-01")

@@ -14,15 +14,15 @@ from empty_stores import KINDS, empty_store
 
 from suspnet.ground.parameters import Cause, Severity
 from suspnet.ground.records import Place
-from suspnet.history import History, HistoryError
-from suspnet.maintenance import fleet as fleet_module
-from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm
-from suspnet.maintenance.fleet import fleet_state
-from suspnet.maintenance.plan import plan_of
-from suspnet.maintenance.series import Event
-from suspnet.report import board as module
-from suspnet.report.board import Board, BoardSettings
-from suspnet.report.overview import address
+from suspnet.trains.history import History, HistoryError
+from suspnet.trains.maintenance import fleet as fleet_module
+from suspnet.trains.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm
+from suspnet.trains.maintenance.fleet import fleet_state
+from suspnet.trains.maintenance.plan import plan_of
+from suspnet.trains.maintenance.series import Event
+from suspnet.trains.pages import board as module
+from suspnet.trains.pages.board import Board, BoardSettings
+from suspnet.trains.pages.overview import address
 
 pytestmark = pytest.mark.usefixtures("trips_fitted_once")
 TODAY = "2026-03-01"

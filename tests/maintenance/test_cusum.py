@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from suspnet.maintenance.cusum import (
+from suspnet.trains.maintenance.cusum import (
     ALLOWANCE,
     CLIP,
     DELAY,

@@ -5,7 +5,7 @@ import pytest
 from drifting_series import history
 from scipy.stats import multivariate_normal
 
-from suspnet.maintenance.degradation import (
+from suspnet.trains.maintenance.degradation import (
     DIFFUSIONS,
     FIRST_CHANGING,
     LEVEL_SPREAD,
@@ -16,8 +16,8 @@ from suspnet.maintenance.degradation import (
     positive_definite,
     powered,
 )
-from suspnet.maintenance.life import DEFAULT_PRIOR
-from suspnet.maintenance.noise import average, estimate_noise, noise_covariance
+from suspnet.trains.maintenance.life import DEFAULT_PRIOR
+from suspnet.trains.maintenance.noise import average, estimate_noise, noise_covariance
 
 # reference: naive evaluation
 

@@ -7,10 +7,10 @@ import pytest
 from trip_records import trip
 
 from suspnet.ground.records import Place, by_mileage
-from suspnet.history import History
-from suspnet.maintenance.directions import MOST, Z, direction_errors, opposite_pairs
-from suspnet.maintenance.relative import relative_results
-from suspnet.maintenance.series import Event, make_series, series_of
+from suspnet.trains.history import History
+from suspnet.trains.maintenance.directions import MOST, Z, direction_errors, opposite_pairs
+from suspnet.trains.maintenance.relative import relative_results
+from suspnet.trains.maintenance.series import Event, make_series, series_of
 
 NOISE = 0.007
 

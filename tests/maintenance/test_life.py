@@ -8,11 +8,11 @@ from hypothesis.extra.numpy import arrays
 
 from benchmarks.prognostics import alpha_lambda, cumulative_relative_accuracy
 from benchmarks.wear_histories import make_histories
-from suspnet.maintenance.degradation import MODELS
-from suspnet.maintenance.first_passage import HORIZON_KM
-from suspnet.maintenance.fleet import learn_fleet
-from suspnet.maintenance.life import DEFAULT_PRIOR, MIN_TRIPS, Life, predict_life
-from suspnet.maintenance.noise import UNIT_KM
+from suspnet.trains.maintenance.degradation import MODELS
+from suspnet.trains.maintenance.first_passage import HORIZON_KM
+from suspnet.trains.maintenance.fleet import learn_fleet
+from suspnet.trains.maintenance.life import DEFAULT_PRIOR, MIN_TRIPS, Life, predict_life
+from suspnet.trains.maintenance.noise import UNIT_KM
 
 LIMITS = (0.7, 1.4)
 KM = 2_000.0 * np.arange(150)

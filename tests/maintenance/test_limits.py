@@ -9,7 +9,6 @@ import pytest
 import yaml
 from trip_records import SPREAD
 
-from suspnet.dynamics import PARAMETERS
 from suspnet.ground.parameters import (
     BOGIE_PARTS,
     DEFAULT_LIMITS,
@@ -20,11 +19,12 @@ from suspnet.ground.parameters import (
     limits_words,
     read_limits,
 )
-from suspnet.maintenance.assessment import assess, overall
-from suspnet.maintenance.judge import judge, last_trips
-from suspnet.maintenance.series import N_LAST, make_series
-from suspnet.maintenance.trend import trend
-from suspnet.simulation.fleet import Scenario
+from suspnet.trains.maintenance.assessment import assess, overall
+from suspnet.trains.maintenance.judge import judge, last_trips
+from suspnet.trains.maintenance.series import N_LAST, make_series
+from suspnet.trains.maintenance.trend import trend
+from suspnet.trains.simulation.fleet import Scenario
+from suspnet.vehicle import PARAMETERS
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SCENARIOS = yaml.safe_load((CONFIGS / "scenarios.yaml").read_text())

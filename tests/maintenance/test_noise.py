@@ -5,7 +5,7 @@ import pytest
 from drifting_series import history
 from scipy.linalg import block_diag
 
-from suspnet.maintenance.noise import (
+from suspnet.trains.maintenance.noise import (
     MAX_BLOCKS,
     average,
     clip_outliers,

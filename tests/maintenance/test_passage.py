@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, norm
 
-from suspnet.maintenance.first_passage import FUTURE, changing_passage_km, first_passage_km
-from suspnet.maintenance.noise import UNIT_KM
+from suspnet.trains.maintenance.first_passage import FUTURE, changing_passage_km, first_passage_km
+from suspnet.trains.maintenance.noise import UNIT_KM
 
 # reference
 

@@ -10,9 +10,9 @@ from hypothesis import settings as examples
 from hypothesis import strategies as st
 
 from suspnet.ground.parameters import Severity
-from suspnet.maintenance import Part, PlanSettings, Train, make_plan
-from suspnet.maintenance.plan import km_per_day
-from suspnet.report.maintenance_figures import MOST_TRAINS, plan_calendar
+from suspnet.trains.maintenance import Part, PlanSettings, Train, make_plan
+from suspnet.trains.maintenance.plan import km_per_day
+from suspnet.trains.pages.maintenance_figures import MOST_TRAINS, plan_calendar
 
 TODAY = date(2026, 11, 22)
 TRAIN = Train("T1", 100_000.0, TODAY, 500.0)

@@ -13,13 +13,13 @@ from suspnet.cli.evaluate import ALARMS, exit_code
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import Cause
 from suspnet.ground.records import Place
-from suspnet.history import History
-from suspnet.maintenance.relative import relative_results
-from suspnet.report import report
-from suspnet.report.board import Board, BoardSettings
-from suspnet.report.tensorboard import RunLog
-from suspnet.trips import fleet
-from suspnet.trips.fleet import FleetSettings, evaluate_fleet
+from suspnet.runs.tensorboard import RunLog
+from suspnet.trains.history import History
+from suspnet.trains.jobs import fleet
+from suspnet.trains.jobs.fleet import FleetSettings, evaluate_fleet
+from suspnet.trains.maintenance.relative import relative_results
+from suspnet.trains.pages import report
+from suspnet.trains.pages.board import Board, BoardSettings
 
 pytestmark = pytest.mark.usefixtures("trips_fitted_once")
 K_AND_C = ("k_p", "c_p", "k_s", "c_s")

@@ -9,12 +9,12 @@ from trip_records import trip
 from suspnet.ground.findings import parts_of
 from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
 from suspnet.ground.records import SensorHealth, sensors_from_text, sensors_text
-from suspnet.history import History
-from suspnet.maintenance.alarms import watch
-from suspnet.maintenance.sensors import IN_A_ROW, N_FIRST, sensor_trends
-from suspnet.maintenance.series import Event, series_of
-from suspnet.maintenance.state import SENSOR_FAILED, State
-from suspnet.report.tables import sensor_rows
+from suspnet.trains.history import History
+from suspnet.trains.maintenance.alarms import watch
+from suspnet.trains.maintenance.sensors import IN_A_ROW, N_FIRST, sensor_trends
+from suspnet.trains.maintenance.series import Event, series_of
+from suspnet.trains.maintenance.state import SENSOR_FAILED, State
+from suspnet.trains.pages.tables import sensor_rows
 
 PAIRS = [f"{place} {side}" for place in ("axle_box", "bogie", "body") for side in ("left", "right")]
 SINGLES = ["axle_box", "bogie", "body"]

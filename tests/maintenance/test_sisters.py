@@ -9,8 +9,8 @@ from trip_records import HALF_WIDTHS, trip
 
 from suspnet.ground.parameters import Cause, Severity
 from suspnet.ground.records import Place
-from suspnet.maintenance.series import N_LAST, Event, of_same_car, series_of
-from suspnet.maintenance.sisters import (
+from suspnet.trains.maintenance.series import N_LAST, Event, of_same_car, series_of
+from suspnet.trains.maintenance.sisters import (
     CORRELATION,
     OF_MEAN,
     Sister,

@@ -10,16 +10,16 @@ from depot_trips import N_TRIPS, place, trips
 
 from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
 from suspnet.ground.records import Place
-from suspnet.history import History
-from suspnet.maintenance.alarms import Acknowledgement
-from suspnet.maintenance.change import ChangeSettings
-from suspnet.maintenance.fleet import fleet_state
-from suspnet.maintenance.plan import PlanSettings, make_plan, parts_of, train_of, trains_of
-from suspnet.maintenance.series import Event
-from suspnet.maintenance.sisters import SisterSettings
-from suspnet.report.board import BoardSettings
-from suspnet.report.overview import overview_rows, overview_table
-from suspnet.runs.maintenance import existing_history, write_maintenance
+from suspnet.trains.history import History
+from suspnet.trains.jobs.maintenance import existing_history, write_maintenance
+from suspnet.trains.maintenance.alarms import Acknowledgement
+from suspnet.trains.maintenance.change import ChangeSettings
+from suspnet.trains.maintenance.fleet import fleet_state
+from suspnet.trains.maintenance.plan import PlanSettings, make_plan, parts_of, train_of, trains_of
+from suspnet.trains.maintenance.series import Event
+from suspnet.trains.maintenance.sisters import SisterSettings
+from suspnet.trains.pages.board import BoardSettings
+from suspnet.trains.pages.overview import overview_rows, overview_table
 
 pytestmark = pytest.mark.usefixtures("blank", "trips_fitted_once")
 

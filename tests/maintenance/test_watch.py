@@ -5,11 +5,11 @@ import pytest
 
 from suspnet.ground.findings import parts_of
 from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
-from suspnet.maintenance.alarms import alarm_table, detector_words, watch
-from suspnet.maintenance.change import Changes, ChangeSettings
-from suspnet.maintenance.cusum import autoregressive
-from suspnet.maintenance.judge import level_words
-from suspnet.maintenance.series import Event, make_series
+from suspnet.trains.maintenance.alarms import alarm_table, detector_words, watch
+from suspnet.trains.maintenance.change import Changes, ChangeSettings
+from suspnet.trains.maintenance.cusum import autoregressive
+from suspnet.trains.maintenance.judge import level_words
+from suspnet.trains.maintenance.series import Event, make_series
 
 PARAMETERS = ("k_p", "c_p", "k_s", "c_s")
 SPREAD = np.array([0.0005, 0.003, 0.0006, 0.001])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from stream_signals import WINDOW, ZERO_NS, disturbed, frames_of, with_gaps
 
-from suspnet.recordings.assembler import MOST_HELD, Assembler, OrderSettings
-from suspnet.recordings.frames import MOST_SAMPLES, Frame, FrameError
+from suspnet.trains.recordings.assembler import MOST_HELD, Assembler, OrderSettings
+from suspnet.trains.recordings.frames import MOST_SAMPLES, Frame, FrameError
 
 RATE_HZ = 250.0
 SETTINGS = OrderSettings(window=WINDOW)

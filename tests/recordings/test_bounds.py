@@ -9,10 +9,10 @@ import pytest
 from recording_files import needed
 from scipy.io import savemat
 
-from suspnet.recordings import columns
-from suspnet.recordings.columns import FREE_SAMPLES, MOST_SAMPLES, SAMPLES_PER_BYTE
-from suspnet.recordings.errors import TripError
-from suspnet.recordings.formats import open_columns
+from suspnet.trains.recordings import columns
+from suspnet.trains.recordings.columns import FREE_SAMPLES, MOST_SAMPLES, SAMPLES_PER_BYTE
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.formats import open_columns
 
 RATE_HZ, MINUTES = 5000, 10
 

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from suspnet.recordings import cleaning
-from suspnet.recordings.cleaning import KINDS, Cleaner, Fault
-from suspnet.recordings.faults import (
+from suspnet.trains.recordings import cleaning
+from suspnet.trains.recordings.cleaning import KINDS, Cleaner, Fault
+from suspnet.trains.recordings.faults import (
     fill,
     find_clipping,
     find_constant,

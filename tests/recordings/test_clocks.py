@@ -11,14 +11,14 @@ import pytest
 import yaml
 from recording_files import bare_manifest, opened, write_mdf, write_tdms
 
-from suspnet.recordings.clocks import Times, Zero, offsets_s
-from suspnet.recordings.columns import Column
-from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest import CHANNELS
-from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.manifest_sources import FileSource, SensorSource
-from suspnet.recordings.recording import Recording, load_recording
-from suspnet.trips.file_contents import contents_of
+from suspnet.trains.recordings.clocks import Times, Zero, offsets_s
+from suspnet.trains.recordings.columns import Column
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.manifest import CHANNELS
+from suspnet.trains.recordings.manifest_files import read_manifest
+from suspnet.trains.recordings.manifest_sources import FileSource, SensorSource
+from suspnet.trains.recordings.recording import Recording, load_recording
+from suspnet.trains.trips.file_contents import contents_of
 
 RATE_HZ = 250.0
 BEGIN = np.datetime64("2015-08-03T06:00:00", "ns")  # in UTC

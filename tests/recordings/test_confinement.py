@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 from misbehaving_readers import attempts, open_misbehaving
 
-from suspnet.recordings import formats, reader_process
-from suspnet.recordings import reader_server as confinement
-from suspnet.recordings.errors import TripError
-from suspnet.recordings.formats import open_file
+from suspnet.trains.recordings import formats, reader_process
+from suspnet.trains.recordings import reader_server as confinement
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.formats import open_file
 
 HAS_LANDLOCK = platform.system() == "Linux" and (
     ctypes.CDLL(None, use_errno=True).syscall(confinement.CREATE_RULESET, None, 0, 1) > 0

@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from recording_files import opened
 
-from suspnet.recordings import csv_dialect, csv_files
-from suspnet.recordings.csv_dialect import find_dialect
-from suspnet.recordings.errors import TripError
-from suspnet.recordings.formats import open_columns, open_file, read_columns
-from suspnet.recordings.manifest_keys import CsvDialect
-from suspnet.recordings.manifest_sources import SensorSource
+from suspnet.trains.recordings import csv_dialect, csv_files
+from suspnet.trains.recordings.csv_dialect import find_dialect
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.formats import open_columns, open_file, read_columns
+from suspnet.trains.recordings.manifest_keys import CsvDialect
+from suspnet.trains.recordings.manifest_sources import SensorSource
 
 ROWS = np.array([[0.0, 1.5, -0.25], [0.1, -2.5, 1e-5], [0.2, np.nan, 12.0], [0.3, 4.0, 0.125]])
 

@@ -11,14 +11,14 @@ from scipy.io import savemat
 from trip_fixtures import changed, model_at, signal, small_fleet
 
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.recordings import dates
-from suspnet.recordings.clocks import Zero, first_moment
-from suspnet.recordings.dates import date_in_lines, date_problem, read_date
-from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.recording import load_recording
-from suspnet.trips.file_contents import look_into
-from suspnet.trips.manifest_template import template
-from suspnet.trips.trip import evaluate_trip
+from suspnet.trains.recordings import dates
+from suspnet.trains.recordings.clocks import Zero, first_moment
+from suspnet.trains.recordings.dates import date_in_lines, date_problem, read_date
+from suspnet.trains.recordings.manifest_files import read_manifest
+from suspnet.trains.recordings.recording import load_recording
+from suspnet.trains.trips.file_contents import look_into
+from suspnet.trains.trips.manifest_template import template
+from suspnet.trains.trips.trip import evaluate_trip
 
 START = datetime(2024, 5, 6, 8, 15, 30)
 FIRST_S = 1714983330

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from suspnet.recordings.cleaning import Fault
-from suspnet.recordings.clock_drift import clock_faults, compared_pairs, find_drift
-from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest import CHANNELS, TripManifest
-from suspnet.recordings.manifest_sources import SensorSource
+from suspnet.trains.recordings.cleaning import Fault
+from suspnet.trains.recordings.clock_drift import clock_faults, compared_pairs, find_drift
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.manifest import CHANNELS, TripManifest
+from suspnet.trains.recordings.manifest_sources import SensorSource
 
 RATE_HZ, SECONDS = 100.0, 600.0
 AT = np.arange(round(RATE_HZ * SECONDS)) / RATE_HZ

@@ -12,10 +12,10 @@ from hypothesis.extra import numpy as hnp
 from recording_files import WRITERS, needed
 from scipy.io import savemat
 
-from suspnet.recordings import columns as columns_module
-from suspnet.recordings import formats
-from suspnet.recordings.errors import TripError
-from suspnet.recordings.formats import CSV_SUFFIXES, open_columns
+from suspnet.trains.recordings import columns as columns_module
+from suspnet.trains.recordings import formats
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.formats import CSV_SUFFIXES, open_columns
 
 
 def read(path: Path, *columns: str | None) -> list[np.ndarray]:

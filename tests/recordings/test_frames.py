@@ -4,7 +4,14 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from suspnet.recordings.frames import MOST_BYTES, MOST_SAMPLES, Frame, FrameError, decode, encode
+from suspnet.trains.recordings.frames import (
+    MOST_BYTES,
+    MOST_SAMPLES,
+    Frame,
+    FrameError,
+    decode,
+    encode,
+)
 
 REASONS = ("size", "foreign", "truncated", "sensor", "rate", "unit", "time", "sequence", "nan")
 """Reasons to refuse a frame by itself, whatever came before."""

@@ -10,11 +10,11 @@ import pytest
 import yaml
 from recording_files import WRITERS
 
-from suspnet.recordings import reader_process
-from suspnet.recordings.errors import TripError
-from suspnet.recordings.formats import open_file, read_columns
-from suspnet.recordings.manifest import CHANNELS
-from suspnet.recordings.manifest_files import ManifestFile, read_manifest
+from suspnet.trains.recordings import reader_process
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.formats import open_file, read_columns
+from suspnet.trains.recordings.manifest import CHANNELS
+from suspnet.trains.recordings.manifest_files import ManifestFile, read_manifest
 
 VALUES = (
     *("no", "0777", "12:30:45", "x", "-1", "1e999", "[1]", "{}", "null", "true", ".nan", "'", "&a"),

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from recording_files import needed
 
-from suspnet.recordings.formats import open_file
-from suspnet.recordings.logger_notes import Stated, key_of, read_value, stated_in
-from suspnet.recordings.reader_server import MOST_NOTES
+from suspnet.trains.recordings.formats import open_file
+from suspnet.trains.recordings.logger_notes import Stated, key_of, read_value, stated_in
+from suspnet.trains.recordings.reader_server import MOST_NOTES
 
 
 def values(*lines):

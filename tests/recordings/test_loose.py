@@ -9,15 +9,15 @@ from scipy.ndimage import binary_erosion
 from trip_fixtures import RATES_HZ, changed, signal, write_trips
 from vehicles import AM96
 
-from suspnet.dynamics import VerticalVehicle
-from suspnet.dynamics.quantities import IN_MOTION
-from suspnet.recordings import loose as loose_sensors
-from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest import CHANNELS
-from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.recording import load_recording
-from suspnet.simulation.fleet import Fleet, Scenario
-from suspnet.simulation.writing import Simulation, write_fleet
+from suspnet.trains.recordings import loose as loose_sensors
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.manifest import CHANNELS
+from suspnet.trains.recordings.manifest_files import read_manifest
+from suspnet.trains.recordings.recording import load_recording
+from suspnet.trains.simulation.fleet import Fleet, Scenario
+from suspnet.trains.simulation.writing import Simulation, write_fleet
+from suspnet.vehicle import VerticalVehicle
+from suspnet.vehicle.quantities import IN_MOTION
 
 RATE = dict(zip(CHANNELS, RATES_HZ, strict=True))
 COMMON_HZ = 100.0

@@ -11,16 +11,16 @@ from hypothesis import strategies as st
 
 from suspnet.ground.parameters import SIDES
 from suspnet.ground.records import Place
-from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest import CHANNELS, TripManifest
-from suspnet.recordings.manifest_files import (
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.manifest import CHANNELS, TripManifest
+from suspnet.trains.recordings.manifest_files import (
     ManifestFile,
     find_manifests,
     read_manifest,
     write_manifest,
 )
-from suspnet.recordings.manifest_keys import DELIMITERS, CsvDialect
-from suspnet.recordings.manifest_sources import SensorSource, SpeedSource
+from suspnet.trains.recordings.manifest_keys import DELIMITERS, CsvDialect
+from suspnet.trains.recordings.manifest_sources import SensorSource, SpeedSource
 
 SUSPENSION = "car 7, leading bogie, right"
 TRIP = f"""

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from recording_files import needed
 
-from suspnet.recordings.columns import BLOCK
-from suspnet.recordings.errors import TripError
-from suspnet.recordings.formats import open_columns, open_file
+from suspnet.trains.recordings.columns import BLOCK
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.formats import open_columns, open_file
 
 asammdf = needed("asammdf")
 RAW = np.array([0, 1, 2, 3, 5, 8, 13, 21, 200, 255])

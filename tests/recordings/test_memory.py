@@ -11,17 +11,17 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from suspnet.recordings.manifest import CHANNELS
+from suspnet.trains.recordings.manifest import CHANNELS
 
 HOURS, RATE_HZ, MOST_GB = 6, 1000.0, 1.0
 CODE = """
 import re, sys
 from pathlib import Path
 import torch
-from suspnet.spectra.welch import Welch
-from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.recording import load_recording
-from suspnet.spectra.segments import recording_segments
+from suspnet.curves.welch import Welch
+from suspnet.trains.recordings.manifest_files import read_manifest
+from suspnet.trains.recordings.recording import load_recording
+from suspnet.trains.spectra.segments import recording_segments
 recording_segments(load_recording(read_manifest(Path(sys.argv[1]))), Welch())
 # not ru_maxrss, which begins with that of the process that started this one
 print(re.search("VmHWM:\\s+(\\d+) kB", Path("/proc/self/status").read_text())[1])

@@ -11,17 +11,17 @@ from hydra import compose, initialize_config_dir
 from trip_fixtures import AM96
 
 from suspnet.cli.kinds import build
-from suspnet.dynamics import VerticalVehicle
-from suspnet.dynamics.quantities import IN_MOTION
-from suspnet.dynamics.track import make_profile, track_spectrum
-from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest import CHANNELS
-from suspnet.simulation.signals import steady_journey
-from suspnet.simulation.true_vehicle import scattered
-from suspnet.simulation.writing import profile_length_m, simulate_trip
-from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra
-from suspnet.spectra.plausibility import check_channels
-from suspnet.spectra.welch import Welch, segment_spectra
+from suspnet.curves.cross_spectra import PAIRS, CrossSpectra
+from suspnet.curves.welch import Welch, segment_spectra
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.manifest import CHANNELS
+from suspnet.trains.sensors.plausibility import check_channels
+from suspnet.trains.simulation.signals import steady_journey
+from suspnet.trains.simulation.true_vehicle import scattered
+from suspnet.trains.simulation.writing import profile_length_m, simulate_trip
+from suspnet.vehicle import VerticalVehicle
+from suspnet.vehicle.quantities import IN_MOTION
+from suspnet.vehicle.track import make_profile, track_spectrum
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 VEHICLES = sorted(path.stem for path in (CONFIGS / "vehicle").glob("*.yaml"))

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from dying_readers import N_BLOCKS, N_SAMPLES, open_dying
 
-from suspnet.recordings import formats, reader_process
-from suspnet.recordings.columns import Column
-from suspnet.recordings.errors import TripError
-from suspnet.recordings.formats import open_columns, open_file
-from suspnet.recordings.reader_server import NO_MEMORY
+from suspnet.trains.recordings import formats, reader_process
+from suspnet.trains.recordings.columns import Column
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.formats import open_columns, open_file
+from suspnet.trains.recordings.reader_server import NO_MEMORY
 
 A = np.arange(float(N_BLOCKS * N_SAMPLES))
 
@@ -177,7 +177,7 @@ def test_threads_have_readers_of_their_own(file):
 def test_reader_ends_with_the_process_that_is_killed(file, what):
     code = (
         "import os, signal, sys, threading; from pathlib import Path; "
-        "from suspnet.recordings.reader_process import in_own_process; "
+        "from suspnet.trains.recordings.reader_process import in_own_process; "
         "from dying_readers import open_dying\n"
         f"with in_own_process(open_dying)(Path({str(file(what))!r})) as opened:\n"
         "    print(opened.words, flush=True)\n"

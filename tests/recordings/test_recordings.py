@@ -10,13 +10,13 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest import CHANNELS
-from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.recording import Recording, load_recording
-from suspnet.spectra.segments import recording_segments, sensor_segments
-from suspnet.spectra.welch import Welch
-from suspnet.trips.check import CheckSettings, check_trip
+from suspnet.curves.welch import Welch
+from suspnet.trains.jobs.check import CheckSettings, check_trip
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.manifest import CHANNELS
+from suspnet.trains.recordings.manifest_files import read_manifest
+from suspnet.trains.recordings.recording import Recording, load_recording
+from suspnet.trains.spectra.segments import recording_segments, sensor_segments
 
 FREQUENCIES_HZ = np.array([0.5, 1.3, 4.0, 7.7, 12.0, 20.0, 25.0])
 PHASES = np.arange(7) ** 2.0

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from suspnet.recordings.sensor import Decimator, Growing, interpolate, support
+from suspnet.trains.recordings.sensor import Decimator, Growing, interpolate, support
 
 RATE_HZ = 100.0
 

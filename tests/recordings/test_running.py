@@ -19,14 +19,14 @@ from stream_signals import (
     with_gaps,
 )
 
-from suspnet.live.journal import StateError, dump_state, load_state
-from suspnet.recordings import cleaning
-from suspnet.recordings.assembler import OrderSettings
-from suspnet.recordings.errors import TripError
-from suspnet.recordings.frames import Frame, decode, encode
-from suspnet.recordings.running import Running
-from suspnet.spectra.segments import recording_segments
-from suspnet.spectra.welch import Welch
+from suspnet.curves.welch import Welch
+from suspnet.depot.live.journal import StateError, dump_state, load_state
+from suspnet.trains.recordings import cleaning
+from suspnet.trains.recordings.assembler import OrderSettings
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.frames import Frame, decode, encode
+from suspnet.trains.recordings.running import Running
+from suspnet.trains.spectra.segments import recording_segments
 
 ORDER = OrderSettings(window=WINDOW)
 FAST, SLOW = range(1), range(1, 230)

@@ -8,13 +8,13 @@ import pytest
 from recording_files import WRITERS, needed, opened
 from scipy.io import savemat, wavfile
 
-from suspnet.recordings.array_files import open_hdf5
-from suspnet.recordings.columns import size_of, unit_in_name
-from suspnet.recordings.errors import TripError
-from suspnet.recordings.formats import READERS, open_columns, open_file
-from suspnet.recordings.logger_files import open_tdms, open_uff
-from suspnet.recordings.manifest_sources import SensorSource, SpeedSource
-from suspnet.recordings.mdf_files import open_mdf
+from suspnet.trains.recordings.array_files import open_hdf5
+from suspnet.trains.recordings.columns import size_of, unit_in_name
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.formats import READERS, open_columns, open_file
+from suspnet.trains.recordings.logger_files import open_tdms, open_uff
+from suspnet.trains.recordings.manifest_sources import SensorSource, SpeedSource
+from suspnet.trains.recordings.mdf_files import open_mdf
 
 STATING = (".h5", ".tdms", ".mf4", ".uff")
 """Formats in which unit and rate may stand."""

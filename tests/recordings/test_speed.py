@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from recording_files import bare_manifest
 
-from suspnet.recordings.manifest_sources import SpeedSource
-from suspnet.recordings.speed import (
+from suspnet.trains.recordings.manifest_sources import SpeedSource
+from suspnet.trains.recordings.speed import (
     find_stuck,
     find_wrong_speeds,
     read_speed,

@@ -11,9 +11,9 @@ from recording_files import needed, write_uff
 from scipy.io import savemat
 from scipy.sparse import csc_array
 
-from suspnet.recordings.errors import TripError
-from suspnet.recordings.formats import open_columns, open_file
-from suspnet.trips.file_contents import contents_of
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.formats import open_columns, open_file
+from suspnet.trains.trips.file_contents import contents_of
 
 N = 8
 VALUES = np.arange(float(N))

@@ -8,10 +8,10 @@ from scipy.interpolate import CubicSpline
 from trip_fixtures import MINUTES, RATES_HZ, changed, model_at, signal, write_trips
 
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.recordings import sources as timeline
-from suspnet.recordings.errors import TripError
-from suspnet.recordings.sources import Timeline
-from suspnet.trips.trip import evaluate_trip
+from suspnet.trains.recordings import sources as timeline
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.sources import Timeline
+from suspnet.trains.trips.trip import evaluate_trip
 
 
 def even(times, values=None, block=1000, rate_hz=None) -> tuple[np.ndarray, Timeline]:

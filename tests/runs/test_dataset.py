@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from suspnet import LinearRegression, Problem, make_dataset, read_dataset, train, write_dataset
-from suspnet.estimation.problem import TEST, TRAIN
-from suspnet.spectra.curves import CurveSettings
+from suspnet.curves.curves import CurveSettings
+from suspnet.curves.problem import TEST, TRAIN
 
 
 @pytest.fixture(scope="module")

@@ -14,15 +14,21 @@ from test_tables import run
 
 from suspnet.cli.config_files import CONFIGS
 from suspnet.cli.kinds import read_protocol
-from suspnet.estimation.problem import Problem
+from suspnet.curves.curves import CurveSettings
+from suspnet.curves.extraction import PeakFeatures
+from suspnet.curves.problem import Problem
 from suspnet.ground.storage import write_json
 from suspnet.learning import LinearRegression
-from suspnet.report.templates import packaged
-from suspnet.runs import paper
-from suspnet.runs.paper import CURVES_OF_TRIPS, FLEET, impact_rows, precision_words, write_paper
 from suspnet.runs.train import train
-from suspnet.spectra.curves import CurveSettings
-from suspnet.spectra.extraction import PeakFeatures
+from suspnet.trains.jobs import paper
+from suspnet.trains.jobs.paper import (
+    CURVES_OF_TRIPS,
+    FLEET,
+    impact_rows,
+    precision_words,
+    write_paper,
+)
+from suspnet.trains.pages.templates import packaged
 
 ROOT = Path(__file__).parents[2]
 NUMERALS = ("I", "II", "III", "IV", "V", "VI", "VII")

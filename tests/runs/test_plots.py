@@ -8,9 +8,9 @@ import torch
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from suspnet.curves.extraction import PeakFeatures
 from suspnet.runs import plots
 from suspnet.runs.tables import table6_records
-from suspnet.spectra.extraction import PeakFeatures
 
 FREQUENCIES = 0.1 + 0.05 * torch.arange(398, dtype=torch.float64)
 NAMES = ("k_p", "c_p")

@@ -9,11 +9,11 @@ import torch
 from protocols import shipped_protocol
 from vehicles import AM96
 
-from suspnet.dynamics import QuarterCar
+from suspnet.bounds.information import output_bounds
+from suspnet.curves.curves import CurveSettings
+from suspnet.curves.problem import BLOCK, CALIBRATE, TEST, Problem
 from suspnet.estimation.checkpoint import load_model, save_model
 from suspnet.estimation.from_curves import estimate_curves
-from suspnet.estimation.information import output_bounds
-from suspnet.estimation.problem import BLOCK, CALIBRATE, TEST, Problem
 from suspnet.ground.storage import read_json, write_json
 from suspnet.learning import MSVR, MVGPR, CurveFit, LinearRegression
 from suspnet.learning.least_squares import BEYOND
@@ -21,7 +21,7 @@ from suspnet.runs import scores
 from suspnet.runs.fit import fit
 from suspnet.runs.predict import calibrated, predict_stream
 from suspnet.runs.tables import scores_table
-from suspnet.spectra.curves import CurveSettings
+from suspnet.vehicle import QuarterCar
 
 SETTINGS = CurveSettings(300, 200, 300, low_hz=0.3, high_hz=12.0, step_hz=0.04, cache_dir=None)
 METHODS = {

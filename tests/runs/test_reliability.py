@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from suspnet.dynamics import PARAMETERS, Vehicle
+from suspnet.curves.curves import CurveSettings
+from suspnet.curves.problem import TEST, Problem
 from suspnet.estimation.from_curves import estimate_curves
-from suspnet.estimation.problem import TEST, Problem
 from suspnet.learning import MSVR
 from suspnet.runs.fit import fit
 from suspnet.runs.predict import calibrated, predict_stream
-from suspnet.spectra.curves import CurveSettings
+from suspnet.vehicle import PARAMETERS, Vehicle
 from tests.vehicles import AM96
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))

@@ -10,9 +10,9 @@ import torch
 from hydra import compose, initialize_config_dir
 
 from suspnet.cli.kinds import build
+from suspnet.curves.problem import Problem
 from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.flags import Residual
-from suspnet.estimation.problem import Problem
 from suspnet.runs.train import RunContext, train
 
 CONFIGS = Path(__file__).parents[2] / "configs"

@@ -9,14 +9,14 @@ from recording_files import contents
 from trip_fixtures import SENSORS
 from vehicles import AM96
 
-from suspnet.dynamics import QuarterCar
 from suspnet.ground import workers
 from suspnet.ground.storage import locked
-from suspnet.recordings.manifest_files import UNFINISHED, partial_words
-from suspnet.simulation import writing
-from suspnet.simulation.fleet import Fleet, Scenario
-from suspnet.simulation.folders import FolderTakenError
-from suspnet.simulation.writing import Simulation, write_fleet
+from suspnet.trains.recordings.manifest_files import UNFINISHED, partial_words
+from suspnet.trains.simulation import writing
+from suspnet.trains.simulation.fleet import Fleet, Scenario
+from suspnet.trains.simulation.folders import FolderTakenError
+from suspnet.trains.simulation.writing import Simulation, write_fleet
+from suspnet.vehicle import QuarterCar
 
 FLEET = Fleet(n_trips=4, minutes=0.1, sensors=SENSORS)
 LOADS = Scenario("loads")

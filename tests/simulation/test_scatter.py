@@ -8,9 +8,9 @@ import torch
 from scipy import stats
 from vehicles import AM96
 
-from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
-from suspnet.dynamics.quantities import IN_MOTION, QUANTITIES, UNMEASURED, LogNormal
-from suspnet.simulation.true_vehicle import scattered, true_numbers
+from suspnet.trains.simulation.true_vehicle import scattered, true_numbers
+from suspnet.vehicle import PARAMETERS, QuarterCar, VerticalVehicle
+from suspnet.vehicle.quantities import IN_MOTION, QUANTITIES, UNMEASURED, LogNormal
 
 FAMILY = VerticalVehicle(AM96, parts=IN_MOTION[:-1], sensor_lateral_m=(1.0, 1.0, 1.0))
 QUANTITY = {quantity.name: quantity for quantity in QUANTITIES}

@@ -11,10 +11,10 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from suspnet.dynamics import PARAMETERS
-from suspnet.dynamics.quantities import QUANTITIES
-from suspnet.dynamics.vertical_motion import secondary_element
-from suspnet.simulation.fleet import Scenario
+from suspnet.trains.simulation.fleet import Scenario
+from suspnet.vehicle import PARAMETERS
+from suspnet.vehicle.quantities import QUANTITIES
+from suspnet.vehicle.vertical_motion import secondary_element
 
 SHIPPED = yaml.safe_load(
     (Path(__file__).parents[2] / "configs" / "scenarios.yaml").read_text(encoding="utf-8")

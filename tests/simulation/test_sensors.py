@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from suspnet.recordings.manifest_sources import ACCELERATION_UNITS
-from suspnet.simulation.signals import Sensor
+from suspnet.trains.recordings.manifest_sources import ACCELERATION_UNITS
+from suspnet.trains.simulation.signals import Sensor
 
 RATE_HZ = 100.0
 

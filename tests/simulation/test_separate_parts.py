@@ -12,15 +12,15 @@ from test_simulation import waves
 from vehicles import AM96
 
 from suspnet import COMPONENTS
-from suspnet.dynamics import QuarterCar, VerticalVehicle
 from suspnet.ground.parameters import SIDES
 from suspnet.ground.storage import read_json
-from suspnet.recordings.manifest import CHANNELS
-from suspnet.recordings.manifest_files import read_manifest
-from suspnet.simulation.fleet import Fleet, Scenario, Trains
-from suspnet.simulation.signals import profile_length_m, simulate_trip, steady_journey
-from suspnet.simulation.true_vehicle import scattered, true_numbers, with_separate_parts
-from suspnet.simulation.writing import Simulation, write_fleet, write_trains
+from suspnet.trains.recordings.manifest import CHANNELS
+from suspnet.trains.recordings.manifest_files import read_manifest
+from suspnet.trains.simulation.fleet import Fleet, Scenario, Trains
+from suspnet.trains.simulation.signals import profile_length_m, simulate_trip, steady_journey
+from suspnet.trains.simulation.true_vehicle import scattered, true_numbers, with_separate_parts
+from suspnet.trains.simulation.writing import Simulation, write_fleet, write_trains
+from suspnet.vehicle import QuarterCar, VerticalVehicle
 
 SPEED, RATE_HZ = 60.0, 200.0
 FAMILY = VerticalVehicle(

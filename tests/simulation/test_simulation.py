@@ -11,25 +11,25 @@ from recording_files import contents
 from reference import phasors
 from vehicles import AM96
 
-from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
-from suspnet.dynamics.quantities import UNMEASURED
-from suspnet.dynamics.track import TrackProfile, make_profile, track_spectrum
+from suspnet.curves.welch import Welch, tfestimate
 from suspnet.ground.storage import read_json
-from suspnet.recordings.dates import date_problem
-from suspnet.recordings.manifest import CHANNELS
-from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.manifest_sources import SensorSource, SpeedSource
-from suspnet.simulation.fleet import FIRST_DAY, Scenario
-from suspnet.simulation.signals import (
+from suspnet.trains.recordings.dates import date_problem
+from suspnet.trains.recordings.manifest import CHANNELS
+from suspnet.trains.recordings.manifest_files import read_manifest
+from suspnet.trains.recordings.manifest_sources import SensorSource, SpeedSource
+from suspnet.trains.simulation.fleet import FIRST_DAY, Scenario
+from suspnet.trains.simulation.signals import (
     BLOCK,
     Journey,
     profile_length_m,
     simulate_trip,
     steady_journey,
 )
-from suspnet.simulation.true_vehicle import scattered, true_numbers
-from suspnet.simulation.writing import Fleet, Simulation, time_between, write_fleet
-from suspnet.spectra.welch import Welch, tfestimate
+from suspnet.trains.simulation.true_vehicle import scattered, true_numbers
+from suspnet.trains.simulation.writing import Fleet, Simulation, time_between, write_fleet
+from suspnet.vehicle import PARAMETERS, QuarterCar, VerticalVehicle
+from suspnet.vehicle.quantities import UNMEASURED
+from suspnet.vehicle.track import TrackProfile, make_profile, track_spectrum
 
 DEGRADED = torch.tensor([0.8, 1.4, 1.2, 0.9, 1.1], dtype=torch.float64)
 GENERATORS = {
@@ -195,7 +195,7 @@ def test_longer_trip_is_the_same_in_its_first_part(monkeypatch):
     first = simulate_trip(system, profile, short, 100.0)
     np.testing.assert_allclose(whole[:, :600], first, rtol=0, atol=1e-9)
     assert BLOCK > 3200
-    monkeypatch.setattr("suspnet.simulation.signals.BLOCK", 2111)
+    monkeypatch.setattr("suspnet.trains.simulation.signals.BLOCK", 2111)
     pieces = simulate_trip(system, profile, long, 100.0)
     np.testing.assert_allclose(pieces, whole, rtol=0, atol=1e-9 * np.abs(whole).max())
 

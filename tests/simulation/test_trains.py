@@ -8,12 +8,12 @@ from recording_files import contents
 from trip_fixtures import SENSORS
 from vehicles import AM96
 
-from suspnet.dynamics import QuarterCar, VerticalVehicle
-from suspnet.recordings.manifest_files import partial_words
-from suspnet.simulation import writing
-from suspnet.simulation.fleet import Fleet, Scenario, Trains
-from suspnet.simulation.writing import Simulation, write_trains
-from suspnet.trips.grouping import find_groups
+from suspnet.trains.recordings.manifest_files import partial_words
+from suspnet.trains.simulation import writing
+from suspnet.trains.simulation.fleet import Fleet, Scenario, Trains
+from suspnet.trains.simulation.writing import Simulation, write_trains
+from suspnet.trains.trips.grouping import find_groups
+from suspnet.vehicle import QuarterCar, VerticalVehicle
 
 FLEET = Fleet(n_trips=2, minutes=0.1, last_mileage_km=1000.0, sensors=SENSORS)
 WORN = Scenario("worn", {"c_s": {"from_km": 0.0, "to_km": 1000.0, "ratio": 0.5}})

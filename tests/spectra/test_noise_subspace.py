@@ -5,8 +5,8 @@ import pytest
 import torch
 from reference import complex_normal
 
-from suspnet.spectra.noise_subspace import trip_noise
-from suspnet.spectra.subspace import SpectralMatrix
+from suspnet.trains.spectra.noise_subspace import trip_noise
+from suspnet.trains.spectra.subspace import SpectralMatrix
 
 N_FREQ, M, P, N_WHEELS, N_AVERAGES = 200, 6, 3, 4, 60
 NOISE = np.array([1.0, 1.5, 0.5, 0.7, 0.2, 0.3])

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from roll_reference import sided_responses, track_amplitudes
 from vehicles import AM96
 
-from suspnet.dynamics import VerticalVehicle
-from suspnet.estimation.trip_flags import bounce_of
-from suspnet.spectra.side_difference import responses_to_bounce, side_difference, unexplained
+from suspnet.trains.identification.trip_flags import bounce_of
+from suspnet.trains.spectra.side_difference import responses_to_bounce, side_difference, unexplained
+from suspnet.vehicle import VerticalVehicle
 
 FREQUENCIES_HZ = np.arange(0.5, 10.0, 0.05)
 N_SEGMENTS = 100

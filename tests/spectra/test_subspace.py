@@ -8,8 +8,8 @@ import torch
 from reference import complex_normal
 from scipy.stats import unitary_group
 
-from suspnet.spectra.subspace import SpectralMatrix, SubspaceMisfit
-from suspnet.spectra.welch import Welch, segment_spectra
+from suspnet.curves.welch import Welch, segment_spectra
+from suspnet.trains.spectra.subspace import SpectralMatrix, SubspaceMisfit
 
 N_FREQ, M, P, N_AVERAGES = 300, 6, 3, 200
 

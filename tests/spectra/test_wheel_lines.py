@@ -9,12 +9,11 @@ import torch
 from trip_fixtures import slow_model
 from vehicles import AM96
 
-from suspnet.dynamics import QuarterCar
-from suspnet.dynamics.track import make_profile, track_spectrum
+from suspnet.curves.cross_spectra import CrossSpectra
 from suspnet.estimation.from_spectra import estimate_with_noise
-from suspnet.recordings.manifest import TripManifest
-from suspnet.recordings.recording import Recording
-from suspnet.simulation.signals import (
+from suspnet.trains.recordings.manifest import TripManifest
+from suspnet.trains.recordings.recording import Recording
+from suspnet.trains.simulation.signals import (
     Journey,
     OutOfRound,
     profile_length_m,
@@ -22,8 +21,9 @@ from suspnet.simulation.signals import (
     simulate_trip,
     steady_journey,
 )
-from suspnet.spectra.cross_spectra import CrossSpectra
-from suspnet.spectra.wheel_lines import line_bins, wheel_lines, wheel_words
+from suspnet.trains.spectra.wheel_lines import line_bins, wheel_lines, wheel_words
+from suspnet.vehicle import QuarterCar
+from suspnet.vehicle.track import make_profile, track_spectrum
 
 RATE_HZ = 100.0
 MANIFEST = TripManifest(

@@ -3,8 +3,8 @@
 import pytest
 from trip_fixtures import model_at, recalled_trip, small_fleet
 
-from suspnet.report import output
-from suspnet.trips import fleet
+from suspnet.trains.jobs import fleet
+from suspnet.trains.pages import output
 
 
 @pytest.fixture(scope="module")

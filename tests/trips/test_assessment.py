@@ -9,19 +9,19 @@ import pytest
 
 from suspnet.ground.findings import Finding, parts_of
 from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
-from suspnet.maintenance.alarms import Alarm
-from suspnet.maintenance.assessment import (
+from suspnet.runs.language import speaking
+from suspnet.runs.language import spoken as spoken_in_language
+from suspnet.trains.maintenance.alarms import Alarm
+from suspnet.trains.maintenance.assessment import (
     ALL_FLAGGED,
     assess,
     overall,
     spoken,
     worst_first,
 )
-from suspnet.maintenance.judge import LastTrips, last_trips
-from suspnet.maintenance.series import make_series
-from suspnet.maintenance.trend import ParameterTrend, Shape, Step, flagged_trend
-from suspnet.report.language import speaking
-from suspnet.report.language import spoken as spoken_in_language
+from suspnet.trains.maintenance.judge import LastTrips, last_trips
+from suspnet.trains.maintenance.series import make_series
+from suspnet.trains.maintenance.trend import ParameterTrend, Shape, Step, flagged_trend
 
 LIMITS = DEFAULT_LIMITS["k_s"]
 N_TRIPS = 30

@@ -8,19 +8,19 @@ import torch
 import yaml
 from vehicles import AM96
 
-from suspnet.dynamics import VerticalVehicle
+from suspnet.curves.estimates import EstimateSettings
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
-from suspnet.estimation.commissioning_summary import NO_CURVES
-from suspnet.estimation.healthy_trips import read_healthy
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest_files import ManifestFile
-from suspnet.runs.commissioning import commission_trips
-from suspnet.runs.commissioning_page import write_outcome
-from suspnet.spectra.estimates import EstimateSettings
-from suspnet.trips import sensor_checks
-from suspnet.trips.check import CheckSettings, check_trip
-from suspnet.trips.check_page import READY, TOO_LITTLE, summary
+from suspnet.trains.identification.commissioning_summary import NO_CURVES
+from suspnet.trains.identification.healthy_trips import read_healthy
+from suspnet.trains.jobs.check import CheckSettings, check_trip
+from suspnet.trains.jobs.commissioning import commission_trips
+from suspnet.trains.pages.check_page import READY, TOO_LITTLE, summary
+from suspnet.trains.pages.commissioning_page import write_outcome
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.manifest_files import ManifestFile
+from suspnet.trains.trips import sensor_checks
+from suspnet.vehicle import VerticalVehicle
 
 RATE_HZ = 100.0
 SETTINGS = EstimateSettings().bound(AM96)

@@ -12,16 +12,16 @@ from trip_records import fleet as made_up
 from trip_records import trend_of
 from vehicles import AM96
 
-from suspnet.dynamics import VerticalVehicle
-from suspnet.dynamics.quantities import LogNormal
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import DEFAULT_LIMITS
-from suspnet.maintenance.relative import relative_to_first_healthy
-from suspnet.maintenance.series import series_of
-from suspnet.report.maintenance_figures import health_trend
-from suspnet.report.trend import AGAIN_OF_FIRST
-from suspnet.trips.commissionings import (
+from suspnet.trains.jobs.fleet import FleetSettings, evaluate_fleet
+from suspnet.trains.maintenance.relative import relative_to_first_healthy
+from suspnet.trains.maintenance.series import series_of
+from suspnet.trains.pages.details import healthy_words
+from suspnet.trains.pages.maintenance_figures import health_trend
+from suspnet.trains.pages.trend import AGAIN_OF_FIRST
+from suspnet.trains.trips.commissionings import (
     check_models,
     commissionings,
     eras,
@@ -29,8 +29,8 @@ from suspnet.trips.commissionings import (
     since_km,
     with_truth_of_each,
 )
-from suspnet.trips.details import healthy_words
-from suspnet.trips.fleet import FleetSettings, evaluate_fleet
+from suspnet.vehicle import VerticalVehicle
+from suspnet.vehicle.quantities import LogNormal
 
 ANEW_KM = 195_000.0
 NEW_DAMPER = 1.25

@@ -16,17 +16,17 @@ from trip_fixtures import (
 )
 from vehicles import AM96
 
-from suspnet.dynamics import PARAMETERS, VerticalVehicle
-from suspnet.dynamics.quantities import LogNormal
-from suspnet.estimation.healthy_trips import read_healthy
+from suspnet.curves.cross_spectra import PAIRS, CrossSpectra
+from suspnet.curves.estimates import EstimateSettings
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.recordings.manifest_files import read_manifest
-from suspnet.simulation import Scenario
-from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra
-from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.plausibility import DIRECTION_MARGIN, shown_direction
-from suspnet.trips import fleet
-from suspnet.trips.trip import evaluate_trip
+from suspnet.trains.identification.healthy_trips import read_healthy
+from suspnet.trains.jobs import fleet
+from suspnet.trains.recordings.manifest_files import read_manifest
+from suspnet.trains.sensors.plausibility import DIRECTION_MARGIN, shown_direction
+from suspnet.trains.simulation import Scenario
+from suspnet.trains.trips.trip import evaluate_trip
+from suspnet.vehicle import PARAMETERS, VerticalVehicle
+from suspnet.vehicle.quantities import LogNormal
 
 SETTINGS = TripSettings()
 PARTS = ("bushings", "rubber", "guidance", "longitudinal", "bending")
@@ -174,7 +174,7 @@ def test_models_of_the_other_direction_are_refused(both_ways, models):
 def test_direction_is_asked_for_where_the_phases_do_not_show_it(
     both_ways, models, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr("suspnet.estimation.direction.DIRECTION_MARGIN", 1e6)
+    monkeypatch.setattr("suspnet.trains.identification.direction.DIRECTION_MARGIN", 1e6)
     silent = changed(both_ways[0], tmp_path, direction=None)
     found = evaluate_trip(silent, models, SETTINGS)
     assert found.status == "error"

@@ -15,15 +15,15 @@ from suspnet.estimation.estimate import HealthyValues
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import COMPONENTS, DEFAULT_LIMITS
 from suspnet.ground.records import ERROR, SensorHealth, sensors_text
-from suspnet.history import History
-from suspnet.maintenance import Acknowledgement, Cause, Severity
-from suspnet.maintenance.alarms import watch
-from suspnet.maintenance.change import ChangeSettings
-from suspnet.maintenance.relative import between
-from suspnet.maintenance.series import Event, series_of
-from suspnet.trips import fleet as fleet_module
-from suspnet.trips.earlier import keep_trips, with_earlier
-from suspnet.trips.fleet import FleetSettings, evaluate_fleet
+from suspnet.trains.history import History
+from suspnet.trains.jobs import fleet as fleet_module
+from suspnet.trains.jobs.fleet import FleetSettings, evaluate_fleet
+from suspnet.trains.maintenance import Acknowledgement, Cause, Severity
+from suspnet.trains.maintenance.alarms import watch
+from suspnet.trains.maintenance.change import ChangeSettings
+from suspnet.trains.maintenance.relative import between
+from suspnet.trains.maintenance.series import Event, series_of
+from suspnet.trains.trips.earlier import keep_trips, with_earlier
 
 SETTINGS = FleetSettings(TripSettings())
 SEEN = "2026-02-01T08:00:00+00:00"

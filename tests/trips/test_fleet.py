@@ -18,31 +18,31 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from trip_fixtures import OUTPUTS, changed, recalled_trip, signal
 from trip_records import fleet as made_up
 
+from suspnet.curves.curves import CurveSettings
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.findings import NO_PART, Finding, together
 from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
 from suspnet.ground.storage import read_arrays, read_plain
-from suspnet.maintenance.alarms import Alarm
-from suspnet.maintenance.series import series_of
-from suspnet.maintenance.state import State
-from suspnet.maintenance.trend import LEAST_PERCENT
-from suspnet.recordings import manifest_files
-from suspnet.recordings.cleaning import Fault
-from suspnet.recordings.dead_sensors import NOTHING, dead_faults
-from suspnet.report import output
-from suspnet.report.output import (
+from suspnet.trains.jobs import fleet
+from suspnet.trains.jobs.fleet import FleetSettings, evaluate_fleet
+from suspnet.trains.maintenance.alarms import Alarm
+from suspnet.trains.maintenance.series import series_of
+from suspnet.trains.maintenance.state import State
+from suspnet.trains.maintenance.trend import LEAST_PERCENT
+from suspnet.trains.pages import output
+from suspnet.trains.pages.output import (
     coverage_percent,
     errors_percent,
     sensor_lines,
     summary,
     write_tables,
 )
-from suspnet.spectra.curves import CurveSettings
-from suspnet.trips import earlier as finished
-from suspnet.trips import fleet
-from suspnet.trips.commissionings import check_models
-from suspnet.trips.fleet import FleetSettings, evaluate_fleet
+from suspnet.trains.recordings import manifest_files
+from suspnet.trains.recordings.cleaning import Fault
+from suspnet.trains.recordings.dead_sensors import NOTHING, dead_faults
+from suspnet.trains.trips import earlier as finished
+from suspnet.trains.trips.commissionings import check_models
 
 TRIPS = TripSettings()
 SETTINGS = FleetSettings(TRIPS)

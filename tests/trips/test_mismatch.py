@@ -22,13 +22,13 @@ from scipy.integrate import cumulative_trapezoid, solve_ivp
 from trips_reference import pitching_matrices, pitching_numbers, pitching_transfer
 from vehicles import AM96
 
-from suspnet.dynamics import VerticalVehicle
-from suspnet.dynamics.motion import SampledMotion
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.recordings.manifest import CHANNELS
-from suspnet.recordings.manifest_files import read_manifest
-from suspnet.simulation import Fleet, Scenario, Simulation, write_fleet
-from suspnet.trips.trip import evaluate_trip
+from suspnet.trains.recordings.manifest import CHANNELS
+from suspnet.trains.recordings.manifest_files import read_manifest
+from suspnet.trains.simulation import Fleet, Scenario, Simulation, write_fleet
+from suspnet.trains.trips.trip import evaluate_trip
+from suspnet.vehicle import VerticalVehicle
+from suspnet.vehicle.motion import SampledMotion
 
 SPEED = 70.0
 LAGS_S = np.array([0.0, 2.7, 19.0, 21.7]) / SPEED

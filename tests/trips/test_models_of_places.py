@@ -9,8 +9,8 @@ from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.estimation.validity import check_model
 from suspnet.ground.records import Place
-from suspnet.trips.commissionings import NAMED, models_of, place_of
-from suspnet.trips.fleet import FleetSettings, evaluate_fleet
+from suspnet.trains.jobs.fleet import FleetSettings, evaluate_fleet
+from suspnet.trains.trips.commissionings import NAMED, models_of, place_of
 
 HERE, THERE = Place("S1", "leading", "", "1", "1"), Place("S1", "leading", "", "1", "2")
 

@@ -13,12 +13,12 @@ from trip_records import HALF_WIDTHS, flagged, trip
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import DEFAULT_LIMITS, Severity, kind_of
 from suspnet.ground.records import Place
-from suspnet.maintenance.series import series_of
-from suspnet.maintenance.state import State
-from suspnet.report.output import write_overview
-from suspnet.report.overview import Evaluated, most_severe
-from suspnet.trips import fleet
-from suspnet.trips.fleet import FleetSettings, evaluate_fleet
+from suspnet.trains.jobs import fleet
+from suspnet.trains.jobs.fleet import FleetSettings, evaluate_fleet
+from suspnet.trains.maintenance.series import series_of
+from suspnet.trains.maintenance.state import State
+from suspnet.trains.pages.output import write_overview
+from suspnet.trains.pages.overview import Evaluated, most_severe
 
 SETTINGS = FleetSettings(TripSettings())
 

@@ -3,7 +3,7 @@
 import pytest
 
 from suspnet.ground.records import Place
-from suspnet.trips.grouping import TAKEN, find_groups
+from suspnet.trains.trips.grouping import TAKEN, find_groups
 
 
 def write(folder, name, suspension="car 7", **where):

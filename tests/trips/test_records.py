@@ -7,7 +7,7 @@ import pytest
 from trip_records import FLAG, HALF_WIDTHS, OUTPUTS, flagged, fleet, trip
 
 from suspnet.ground.records import Quality, TripResult
-from suspnet.maintenance.relative import first_trips, relative_results
+from suspnet.trains.maintenance.relative import first_trips, relative_results
 
 FEW = ("k_p", "M_s")
 

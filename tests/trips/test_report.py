@@ -14,17 +14,18 @@ from trip_records import FLAG, HALF_WIDTHS, OUTPUTS, flagged, fleet, trend_of, t
 from suspnet.ground.findings import WITHOUT_SENSORS, Finding, of, together
 from suspnet.ground.parameters import DEFAULT_LIMITS
 from suspnet.ground.records import Place
-from suspnet.maintenance import Acknowledgement, Alarm, Cause, Life, Severity
-from suspnet.maintenance.alarms import Watched
-from suspnet.maintenance.series import make_series, series_of
-from suspnet.maintenance.state import State
-from suspnet.report import figures, report, trip_figures
-from suspnet.report.failing_sensors import dead_words, failing_sensors, failing_words
-from suspnet.report.language import speaking
-from suspnet.report.maintenance_figures import health_trend
-from suspnet.report.overview import Evaluated
-from suspnet.report.report import Report
-from suspnet.report.tables import files_read_as
+from suspnet.runs import figures
+from suspnet.runs.language import speaking
+from suspnet.trains.maintenance import Acknowledgement, Alarm, Cause, Life, Severity
+from suspnet.trains.maintenance.alarms import Watched
+from suspnet.trains.maintenance.series import make_series, series_of
+from suspnet.trains.maintenance.state import State
+from suspnet.trains.pages import report, trip_figures
+from suspnet.trains.pages.failing_sensors import dead_words, failing_sensors, failing_words
+from suspnet.trains.pages.maintenance_figures import health_trend
+from suspnet.trains.pages.overview import Evaluated
+from suspnet.trains.pages.report import Report
+from suspnet.trains.pages.tables import files_read_as
 
 HOSTILE = "<script>alert('x')</script> & \"$x_\" {{ 7 * 7 }} \u5217\u8eca \udcff"
 VOID = {"meta", "br", "img"}

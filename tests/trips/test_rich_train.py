@@ -27,9 +27,9 @@ from trips_reference import pitching_matrices, pitching_numbers
 from vehicles import AM96
 
 from benchmarks.foreign_trains import CASES
-from suspnet.dynamics import PARAMETERS, VerticalVehicle
-from suspnet.dynamics.quantities import UNMEASURED
-from suspnet.spectra.estimates import EstimateSettings
+from suspnet.curves.estimates import EstimateSettings
+from suspnet.vehicle import PARAMETERS, VerticalVehicle
+from suspnet.vehicle.quantities import UNMEASURED
 
 SPEED = 70.0
 HEALTHY = np.ones(5)

@@ -10,12 +10,12 @@ from rich_train_trips import write_train_trips
 from scipy.signal import csd
 from vehicles import AM96
 
-from suspnet.dynamics import PARAMETERS, VerticalVehicle
-from suspnet.recordings.manifest import CHANNELS
-from suspnet.recordings.manifest_files import read_manifest
-from suspnet.simulation import Fleet, Scenario, Simulation, write_fleet
-from suspnet.spectra.cross_spectra import PAIRS
-from suspnet.spectra.estimates import EstimateSettings
+from suspnet.curves.cross_spectra import PAIRS
+from suspnet.curves.estimates import EstimateSettings
+from suspnet.trains.recordings.manifest import CHANNELS
+from suspnet.trains.recordings.manifest_files import read_manifest
+from suspnet.trains.simulation import Fleet, Scenario, Simulation, write_fleet
+from suspnet.vehicle import PARAMETERS, VerticalVehicle
 
 RATES = dict(zip(CHANNELS, (1000.0, 500.0, 500.0), strict=True))
 SILENT = {name: {"rate_hz": rate, "snr_db": None} for name, rate in RATES.items()}

@@ -13,10 +13,10 @@ from scipy.io import savemat, wavfile
 from trip_fixtures import RATES_HZ, changed, recalled_trip, signal
 
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.recordings.manifest import CHANNELS
-from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.recording import load_recording
-from suspnet.trips.trip import evaluate_trip
+from suspnet.trains.recordings.manifest import CHANNELS
+from suspnet.trains.recordings.manifest_files import read_manifest
+from suspnet.trains.recordings.recording import load_recording
+from suspnet.trains.trips.trip import evaluate_trip
 
 RATES = dict(zip(CHANNELS, RATES_HZ, strict=True))
 START = datetime(2015, 8, 3, 8, tzinfo=timezone(timedelta(hours=2)))

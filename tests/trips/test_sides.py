@@ -13,17 +13,22 @@ from scipy.stats import norm
 from trip_fixtures import MINUTES, OUTPUTS, SPEED, recalled_trip
 from trip_records import trip
 
-from suspnet.estimation import from_recording, trip_flags
-from suspnet.estimation.bogie_trips import UNEXPLAINED as UNEXPLAINED_PARTS
-from suspnet.estimation.bogie_trips import UnexplainedError
-from suspnet.estimation.trip_flags import SIDE_COSTS, UNEXPLAINED, side_errors, spoken_sides
+from suspnet.curves.speeds import NoEstimateError
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import ERROR, NO_ESTIMATE, OK
-from suspnet.recordings.errors import TripError
-from suspnet.report.report import sides_finding
-from suspnet.spectra.side_difference import SideDifference
-from suspnet.spectra.speeds import NoEstimateError
-from suspnet.trips.trip import evaluate_trip
+from suspnet.trains.identification import from_recording, trip_flags
+from suspnet.trains.identification.bogie_trips import UNEXPLAINED as UNEXPLAINED_PARTS
+from suspnet.trains.identification.bogie_trips import UnexplainedError
+from suspnet.trains.identification.trip_flags import (
+    SIDE_COSTS,
+    UNEXPLAINED,
+    side_errors,
+    spoken_sides,
+)
+from suspnet.trains.pages.report import sides_finding
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.spectra.side_difference import SideDifference
+from suspnet.trains.trips.trip import evaluate_trip
 
 RATE_HZ, TOP_HZ = 250.0, 15.0
 WEAK = (-0.111, 0.0, 0.0, 0.0)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from suspnet.maintenance.trend import LEVEL, Shape, flagged_trend, steps, trend
+from suspnet.trains.maintenance.trend import LEVEL, Shape, flagged_trend, steps, trend
 
 N_TRIPS = 30
 MILEAGE_KM = 10_000.0 * np.arange(1, N_TRIPS + 1)

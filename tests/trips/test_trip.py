@@ -20,21 +20,21 @@ from trip_fixtures import (
     write_trips,
 )
 
-from suspnet.dynamics import PARAMETERS
-from suspnet.estimation import from_recording as recording
+from suspnet.curves.welch import Welch
 from suspnet.estimation.estimate import Flags
 from suspnet.estimation.from_spectra import estimate_with_noise
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import ERROR, NO_ESTIMATE, OK
-from suspnet.recordings import recording as loading
-from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest import CHANNELS
-from suspnet.simulation.fleet import Scenario
-from suspnet.spectra.welch import Welch
-from suspnet.trips import trip
-from suspnet.trips.check import CheckSettings, check_trip
-from suspnet.trips.check_page import READY, TOO_LITTLE
-from suspnet.trips.trip import evaluate_trip
+from suspnet.trains.identification import from_recording as recording
+from suspnet.trains.jobs.check import CheckSettings, check_trip
+from suspnet.trains.pages.check_page import READY, TOO_LITTLE
+from suspnet.trains.recordings import recording as loading
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.manifest import CHANNELS
+from suspnet.trains.simulation.fleet import Scenario
+from suspnet.trains.trips import trip
+from suspnet.trains.trips.trip import evaluate_trip
+from suspnet.vehicle import PARAMETERS
 
 SETTINGS = TripSettings()
 RATE = dict(zip(CHANNELS, RATES_HZ, strict=True))

@@ -6,7 +6,7 @@ import pytest
 from flask.templating import Environment
 from served_fleet import SETTINGS, fill
 
-from suspnet.report.board import Board
+from suspnet.trains.pages.board import Board
 
 
 @pytest.fixture(scope="package", autouse=True)

@@ -6,9 +6,9 @@ import pytest
 from served_fleet import FAILED, SETTINGS, name_of
 from test_api import BASE, BEARER, TOKEN, client, post
 
-from suspnet.history import History
-from suspnet.report.board import Board
-from suspnet.web.access import Access
+from suspnet.depot.web.access import Access
+from suspnet.trains.history import History
+from suspnet.trains.pages.board import Board
 
 JUERGEN = "Jürgen".encode().decode("latin-1")  # as a server gives the bytes of a header
 LOGIN = Access("X-Remote-User", ["10.0.0.5", "192.168.7.0/24"], ["Kim Li", "Jürgen"], TOKEN)

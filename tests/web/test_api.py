@@ -9,12 +9,12 @@ from flask.testing import FlaskClient
 from openapi_spec_validator import validate
 from served_fleet import EVIL, FAILED, HEALTHY, NAMED_EVIL, SETTINGS, WORN, name_of
 
-from suspnet.history import History
-from suspnet.report.board import Board, Refresher
-from suspnet.report.work_order import work_orders
-from suspnet.web import pages
-from suspnet.web.access import Access
-from suspnet.web.app import create_app
+from suspnet.depot.web import pages
+from suspnet.depot.web.access import Access
+from suspnet.depot.web.app import create_app
+from suspnet.trains.history import History
+from suspnet.trains.pages.board import Board, Refresher
+from suspnet.trains.pages.work_order import work_orders
 
 TOKEN = "a-token-of-programs-for-tests"
 BEARER = {"Authorization": f"Bearer {TOKEN}"}

@@ -5,12 +5,12 @@ import re
 import pytest
 from served_fleet import HEALTHY, SETTINGS, bogie_trips, name_of, trips
 
+from suspnet.depot.web.app import create_app
 from suspnet.ground.parameters import BOGIE_PARTS
 from suspnet.ground.records import Place
-from suspnet.history import History
-from suspnet.report.board import Board, Refresher
-from suspnet.report.bogie import NONE_NAMED
-from suspnet.web.app import create_app
+from suspnet.trains.history import History
+from suspnet.trains.pages.board import Board, Refresher
+from suspnet.trains.pages.bogie import NONE_NAMED
 
 BASE = {"base_url": "http://127.0.0.1:8050"}
 WORN, CALM = Place("", "leading", "", "7", "1"), Place("", "leading", "", "7", "2")

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import pytest
 from served_fleet import EVIL, NAMED_EVIL, WORN, name_of, served, trips
 
-from suspnet.history import History
+from suspnet.trains.history import History
 
 selenium = pytest.importorskip("selenium")
 from selenium import webdriver  # noqa: E402

@@ -6,10 +6,10 @@ import sys
 import pytest
 import served_fleet
 
-from suspnet.history import History
-from suspnet.report.board import Board, Refresher
-from suspnet.web.access import Access
-from suspnet.web.app import create_app
+from suspnet.depot.web.access import Access
+from suspnet.depot.web.app import create_app
+from suspnet.trains.history import History
+from suspnet.trains.pages.board import Board, Refresher
 
 
 @pytest.fixture

@@ -7,11 +7,11 @@ from dataclasses import replace
 import pytest
 from served_fleet import EVIL, FAILED, HEALTHY, NAMED_EVIL, SETTINGS, WORN, name_of, trips
 
+from suspnet.depot.web.app import create_app
 from suspnet.ground.parameters import Severity
 from suspnet.ground.records import SensorHealth, sensors_text
-from suspnet.history import History
-from suspnet.report.board import Board, Refresher
-from suspnet.web.app import create_app
+from suspnet.trains.history import History
+from suspnet.trains.pages.board import Board, Refresher
 
 BASE = {"base_url": "http://127.0.0.1:8050"}
 

@@ -8,12 +8,12 @@ import plotly.graph_objects as go
 import pytest
 from served_fleet import FAILED, NAMED_EVIL, SETTINGS, WORN, trips
 
-from suspnet.history import History
-from suspnet.maintenance.series import Event
-from suspnet.report.board import Board
-from suspnet.report.tables import response
-from suspnet.report.trend import FLAGGED, PASSING, TRIP, ranges, trend_of_state
-from suspnet.web.figures import finite, html, response_figure, trend_figure
+from suspnet.depot.web.figures import finite, html, response_figure, trend_figure
+from suspnet.trains.history import History
+from suspnet.trains.maintenance.series import Event
+from suspnet.trains.pages.board import Board
+from suspnet.trains.pages.tables import response
+from suspnet.trains.pages.trend import FLAGGED, PASSING, TRIP, ranges, trend_of_state
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from live_frames import until
 from served_fleet import served
 from waitress import wasyncore
 
-from suspnet.web.app import MAX_CONNECTIONS, http_server
+from suspnet.depot.web.app import MAX_CONNECTIONS, http_server
 
 HEAD = b"POST /suspension/x/acknowledge HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9000\r\n\r\n"
 SENT = {"idle": b"", "half a head": b"GET / HTTP/1.1\r\nHost: local", "half a body": HEAD + b"a=1"}

@@ -13,11 +13,11 @@ from cli_runner import typed
 from served_fleet import FAILED, HEALTHY, SETTINGS, name_of, trips
 
 from suspnet.cli import serve
-from suspnet.history import History
-from suspnet.report import board
-from suspnet.report.board import Board, Refresher
-from suspnet.web import service
-from suspnet.web.app import create_app
+from suspnet.depot.web import service
+from suspnet.depot.web.app import create_app
+from suspnet.trains.history import History
+from suspnet.trains.pages import board
+from suspnet.trains.pages.board import Board, Refresher
 
 BASE = {"base_url": "http://127.0.0.1:8050"}
 

@@ -1,0 +1,1 @@
+"""What can be known: Fisher information of curves, features and recordings, Cramer-Rao bounds."""

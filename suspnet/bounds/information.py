@@ -1,0 +1,323 @@
+"""Cramer-Rao bounds, and the smallest error where stiffness and mass are not identifiable.
+
+The covariance of an unbiased estimator is at least I^-1, with the Fisher information I = J^T J and
+J the derivative of the curves in units of their noise (`suspnet.curves.expected_spectra`). A
+Gaussian error has MAPE = sqrt(2 / pi) times its relative standard deviation.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import torch
+from scipy.special import erfcx
+from torch import Tensor
+
+from suspnet.curves.estimates import Misfit, Observer
+from suspnet.curves.observation import Directions
+from suspnet.curves.protocols import BODY_MASS_COLUMN, RESPONSES, Task, columns_of
+from suspnet.ground.parameters import BODY_MASS
+from suspnet.ground.tensors import as_tensor, threads
+from suspnet.ground.types import ComplexArray, FloatArray
+from suspnet.learning.least_squares import ONE_SIDED_DIFFERENCE
+from suspnet.vehicle import PARAMETERS
+
+ROWS = 256
+NODES = 24
+"""Number of nodes of the quadrature over the noise."""
+WIDEST, NARROWEST = 1e4, 1e12
+"""Largest bound used in a computation, relative to the range, as larger ones lose digits; and the
+range relative to the smallest bound."""
+SCALED_TOGETHER = ("k_s", "c_s", BODY_MASS)
+"""Parameters whose common factor leaves G_s of a quarter car unchanged."""
+
+
+def fisher_information(
+    observer: Observer,
+    ratios: FloatArray,
+    parameters: Sequence[str] = PARAMETERS,
+    responses: Sequence[str] = RESPONSES,
+) -> FloatArray:
+    """Return the information of noisy curves on some parameters, the others being known.
+
+    I = J^T J, J the derivative of the observer's misfit by automatic differentiation. For
+    magnitudes with white noise, I is the sum over curves of J^T J / rms^2, J the derivative of the
+    curves. For transfer functions estimated from a trip, with J the derivative of (log G_p, log
+    G_s), Sigma the covariance of their estimate and r = ``Welch.correlated_bins``::
+
+        I = 2 / r sum over bins of Re(J^H Sigma^-1 J)
+
+    Weak bins do not count. A generator's uncertain numbers are unknown too, at the median of their
+    distribution: see `without_uncertain`.
+
+    Parameters
+    ----------
+    ratios : array of shape (n_vehicles, 5), [-]
+    parameters, responses : sequences of str
+        From ``PARAMETERS`` and ``RESPONSES``; estimates from trips always use both responses.
+
+    Returns
+    -------
+    array of shape (n_vehicles, n_parameters, n_parameters)
+        With respect to ratios to healthy.
+    """
+    every = joint_information(observer, ratios, parameters, responses)
+    return without_uncertain(every, len(parameters))
+
+
+@threads(1)  # spectra are computed in blocks as large as the cache of one core
+def joint_information(
+    observer: Observer,
+    ratios: FloatArray,
+    parameters: Sequence[str],
+    responses: Sequence[str] = RESPONSES,
+    directions: Directions | None = None,
+) -> FloatArray:
+    """Return the information on parameters and uncertain numbers together, (n_vehicles, n, n).
+
+    Informations of independent curves add; `without_uncertain` includes the prior once.
+    """
+    directions = observer.directions if directions is None else directions
+    used = [RESPONSES.index(name) for name in responses]
+    blocks = []
+    for rows in as_tensor(ratios).split(ROWS):
+        misfit = observer.misfit(observer.noise_free(rows), rows, used)
+        jacobian = _joint_derivative(misfit, rows, parameters, directions)
+        blocks.append((jacobian @ jacobian.mT).cpu().numpy())
+    return np.concatenate(blocks)
+
+
+@threads(1)
+def shifts(
+    observer: Observer, ratios: FloatArray, parameters: Sequence[str], logs: ComplexArray
+) -> FloatArray:
+    """Return how a systematic error of both responses moves a fit, (n_vehicles, n_parameters), [-].
+
+    With r the error `logs` (2, n_freq) of the curves' logarithms in units of the noise, and J the
+    derivative to parameters and uncertain numbers z, whose prior has the information P (0 for a
+    parameter, 1 for a coordinate of z), the change is (J^T J + P)^-1 J^T r, to first order. It is
+    that of the parameters' logarithms.
+    """
+    rows = as_tensor(ratios)
+    curves, directions = observer.noise_free(rows), observer.directions
+    misfit = observer.misfit(curves, rows)
+    jacobian = _joint_derivative(misfit, rows, parameters, directions)
+    # the misfit is that of the vehicle to the curves: a parameter that raises a curve lowers it
+    moved = observer.misfit(curves * torch.as_tensor(logs).exp().to(curves), rows)
+    error = moved(rows, torch.arange(len(rows)))
+    prior = torch.cat([torch.zeros(len(parameters)), torch.ones(directions.n)]).to(jacobian)
+    information = jacobian @ jacobian.mT + prior.diag()
+    found = -torch.linalg.solve(information, jacobian @ error[:, :, None])[:, :, 0]
+    absolute = found[:, : len(parameters)].cpu().numpy()
+    return np.asarray(absolute / np.asarray(ratios)[:, columns_of(parameters)])
+
+
+def without_uncertain(information: FloatArray, n_parameters: int) -> FloatArray:
+    """Return the information on parameters with uncertain numbers unknown except for a prior.
+
+    With z their standard normal coordinates, the uncertainty of z reduces the information (van
+    Trees, Detection, estimation and modulation theory, 1968)::
+
+        I = I_tt - I_tz (I_zz + 1)^-1 I_zt
+
+    `information` has the shape (..., n_parameters + n_z, n_parameters + n_z).
+    """
+    n = n_parameters
+    found = information[..., :n, :n]
+    if information.shape[-1] == n:
+        return found
+    both = information[..., :n, n:]
+    prior = np.eye(information.shape[-1] - n)
+    solved = np.linalg.solve(information[..., n:, n:] + prior, np.swapaxes(both, -1, -2))
+    return np.asarray(found - both @ solved)
+
+
+def _joint_derivative(
+    misfit: Misfit, ratios: Tensor, parameters: Sequence[str], directions: Directions
+) -> Tensor:
+    """Return the derivative of a misfit to parameters and uncertain numbers, (n, n, n_points)."""
+    every = torch.arange(len(ratios))
+    columns = columns_of(parameters)
+    jacobian = derivative_of_rows(lambda point: misfit(point, every), ratios, columns)
+    if not directions.n:
+        return jacobian
+    return torch.cat([jacobian, _nuisance(directions, misfit, ratios.to(jacobian))], dim=1)
+
+
+def derivative_of_rows(
+    function: Callable[[Tensor], Tensor], rows: Tensor, columns: Sequence[int]
+) -> Tensor:
+    """Return the derivative of real values of each row to some of its columns, (n, n_columns, ...).
+
+    `function` gives values of the shape (n, ...), each from its own row of `rows` alone.
+
+    J^T v by reverse differentiation is linear in v: its derivative with respect to v is J. One
+    evaluation serves all columns, while torch.func.jvp needs one for each and, once, two seconds to
+    import the compiler of torch.
+    """
+    with torch.enable_grad():
+        point = rows.detach().clone().requires_grad_()
+        values = function(point)
+        v = torch.zeros_like(values, requires_grad=True)
+        (product,) = torch.autograd.grad((values * v).sum(), point, create_graph=True)
+        found = [
+            torch.autograd.grad(product[:, column].sum(), v, retain_graph=True)[0]
+            for column in columns
+        ]
+    return torch.stack(found, dim=1)
+
+
+def _nuisance(directions: Directions, misfit: Misfit, ratios: Tensor) -> Tensor:
+    """Return the derivative of a misfit, 0 at `ratios`, with respect to z, (n, n_z, n_points)."""
+    every = torch.arange(len(ratios))
+    steps = torch.eye(directions.n).to(ratios) * ONE_SIDED_DIFFERENCE
+    moved = [
+        misfit(directions.vehicles(ratios, step.expand(len(ratios), -1)), every) for step in steps
+    ]
+    return torch.stack(moved, dim=1) / ONE_SIDED_DIFFERENCE
+
+
+def cramer_rao(information: FloatArray) -> FloatArray:
+    """Return the smallest standard deviations, shape (n, n_parameters); inf where unidentifiable.
+
+    A parameter without information has the bound inf. If a matrix is not finite, or its scaled form
+    has a condition number above 1e12, all of its bounds are inf.
+    """
+    finite = np.asarray(np.isfinite(information).all(axis=(1, 2)))
+    information = np.where(finite[:, None, None], information, 0.0)
+    diagonal = np.einsum("nii->ni", information)
+    unseen = ~(diagonal > 0)
+    scale = np.sqrt(np.where(unseen, 1.0, diagonal))
+    scaled = information / (scale[:, :, None] * scale[:, None, :])
+    scaled += unseen[:, :, None] * np.eye(information.shape[1])
+    bounds = np.full(scale.shape, np.inf)
+    usable = np.linalg.cond(scaled) < 1e12
+    inverse = np.linalg.inv(scaled[usable])
+    bounds[usable] = np.sqrt(np.einsum("nii->ni", inverse)) / scale[usable]
+    bounds[unseen] = np.inf
+    return bounds
+
+
+def scale_ambiguity_bound(task: Task, ratios: FloatArray) -> dict[str, dict[str, float]]:
+    """Return the smallest MAPE and RMSE from abs(G_s) alone with the mass unknown.
+
+    G_s depends on k_s / M_s and c_s / M_s only. Given these two, without any noise, each level m of
+    the mass is possible where k_s = (k_s / M_s) m and c_s are within their range, with probability
+    proportional to m^2 (the density of k_s, c_s, uniform in their range, in terms of these
+    quotients). The mean over the levels has the smallest RMSE, the median weighted by 1/k_s the
+    smallest MAPE. Errors are averaged over `ratios`, (n_vehicles, 5).
+    """
+    levels = task.levels(BODY_MASS)
+    mass = ratios[:, BODY_MASS_COLUMN]
+    stiffness, damping = (ratios[:, PARAMETERS.index(name)] / mass for name in ("k_s", "c_s"))
+    candidates = levels[:, None]
+    low, high = task.lower - 1e-9, task.upper + 1e-9
+    possible = np.ones((len(levels), len(ratios)), dtype=bool)
+    for ratio in (stiffness, damping):
+        possible &= (ratio * candidates >= low) & (ratio * candidates <= high)
+    probability = possible * candidates**2
+    probability = probability / probability.sum(axis=0)
+    mean_mass = (probability * candidates).sum(axis=0)
+    median_mass = _weighted_median(levels, probability / candidates)
+    mape = float(100 * np.mean(np.abs(median_mass / mass - 1)))
+    return {
+        name: {
+            "mape_percent": mape,
+            "rmse": float(np.sqrt(np.mean((ratio * (mean_mass - mass)) ** 2))),
+        }
+        for name, ratio in zip(
+            SCALED_TOGETHER, (stiffness, damping, np.ones_like(mass)), strict=True
+        )
+    }
+
+
+def output_bounds(task: Task, observer: Observer, ratios: FloatArray) -> FloatArray:
+    """Return the Cramer-Rao bounds of a task's outputs, shape (n_vehicles, n_outputs), [-].
+
+    All parameters that vary together and are not measured are estimated jointly; of several sets
+    that of the vehicle is taken as known, so an output that stays healthy in it has the bound 0.
+    `ratios`: (n_vehicles, 5).
+    """
+    bounds = np.zeros((len(ratios), len(task.outputs)))
+    for names, rows in task.rows_of_sets(ratios):
+        information = fisher_information(observer, ratios[rows], names, task.responses)
+        found = cramer_rao(information)
+        for j, output in enumerate(task.outputs):
+            if output in names:
+                bounds[rows, j] = found[:, names.index(output)]
+    return bounds
+
+
+def best_possible(
+    task: Task, bounds: FloatArray, ratios: FloatArray
+) -> dict[str, dict[str, float]]:
+    """Return {output: {"mape_percent": ..., "rmse": ...}}: the smallest errors of a task.
+
+    From Cramer-Rao `bounds` (n_vehicles, n_outputs) of `ratios` (n_vehicles, 5); inf where an
+    output is not identifiable. Where G_s alone cannot separate k_s, c_s and M_s, all unknown, it
+    still gives their quotients: the errors are then those of `scale_ambiguity_bound`.
+    """
+    mape = math.sqrt(2 / math.pi) * relative_percent(task, bounds, ratios)
+    rmse = np.sqrt(np.mean(bounds**2, axis=0))
+    least = {
+        name: {"mape_percent": float(mape[j]), "rmse": float(rmse[j])}
+        for j, name in enumerate(task.outputs)
+    }
+    scaled_together = task.responses == ("G_s",) and set(SCALED_TOGETHER) <= set(task.unknown)
+    if scaled_together and task.sampling == "grid":
+        of_scale = scale_ambiguity_bound(task, ratios)
+        least |= {
+            k: of_scale[k] for k in least if k in of_scale and not math.isfinite(least[k]["rmse"])
+        }
+    return least
+
+
+def relative_percent(task: Task, bounds: FloatArray, ratios: FloatArray) -> FloatArray:
+    """Return the mean bound of each output relative to its value, shape (n_outputs,), [%]."""
+    return np.asarray(100 * (bounds / ratios[:, task.output_indices]).mean(axis=0))
+
+
+def over_bound(errors: FloatArray, bounds: FloatArray) -> FloatArray:
+    """Return errors over their bounds; NaN where a bound is infinite, not a quotient of 0."""
+    quotients = np.full(bounds.shape, np.nan)
+    np.divide(errors, bounds, out=quotients, where=np.isfinite(bounds))
+    return quotients
+
+
+def range_limited(bounds: FloatArray, ratios: FloatArray, low: float, high: float) -> FloatArray:
+    """Return the smallest rms error of one parameter if its range is known, shape (n,), [-].
+
+    For an estimate x = theta + s e, e standard normal, the best replacement is the mean of theta
+    given x and low <= theta <= high, all equally likely: the mean of a truncated normal. Its error,
+    averaged over e, is the bound. s is `bounds` (n,), theta is `ratios` (n,).
+    """
+    e, weights = np.polynomial.hermite_e.hermegauss(NODES)
+    s = np.clip(bounds, (high - low) / NARROWEST, WIDEST * (high - low))[:, None]
+    theta = ratios[:, None]
+    x = theta + s * e
+    a, b = (low - x) / s, (high - x) / s
+    error = (x + s * _truncated_mean(a, b) - theta) ** 2
+    return np.asarray(np.sqrt(error @ (weights / weights.sum())))
+
+
+def _truncated_mean(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the mean of a standard normal number truncated to a..b.
+
+    (phi(a) - phi(b)) / (Phi(b) - Phi(a)), both over phi(a), which may underflow; mirrored where the
+    interval lies on the left.
+    """
+    left = a + b < 0
+    a, b = np.where(left, -b, a), np.where(left, -a, b)
+    exponent = -(b - a) * (b + a) / 2  # phi(b) / phi(a) = exp(exponent)
+    weight = erfcx(a / math.sqrt(2)) - np.exp(exponent) * erfcx(b / math.sqrt(2))
+    mean = -math.sqrt(2 / math.pi) * np.expm1(exponent) / weight
+    return np.asarray(np.where(left, -mean, mean))
+
+
+def _weighted_median(levels: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return for each column of `weights` (n_levels, n) the median of ascending `levels`."""
+    cumulative = np.cumsum(weights, axis=0)
+    index = (cumulative >= 0.5 * cumulative[-1]).argmax(axis=0)
+    return np.asarray(levels[index])

@@ -1,0 +1,142 @@
+"""Speeds at which a trip is read, and ranges of speeds that one model reads."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from suspnet.curves.welch import NEGLIGIBLE
+from suspnet.ground.findings import Finding, together
+from suspnet.ground.parameters import FORWARD, REVERSE, Direction
+
+MARGIN = 0.02
+"""Relative margin added to the speeds of the trips a model is made for; later trips vary by as
+much."""
+ROUNDING = 1e-9
+"""Relative rounding error of a range's ends, which are computed from middle and half width."""
+
+
+class NoEstimateError(Exception):
+    """The trip is valid but gives no estimate; the message states the reason."""
+
+
+@dataclass(frozen=True)
+class Speeds:
+    """Speeds of the segments that one estimate averages, as a quadrature with weights of sum 1."""
+
+    m_per_s: tuple[float, ...]
+    weights: tuple[float, ...]
+
+    @property
+    def mean(self) -> float:
+        """Mean speed, [m/s]."""
+        return sum(v * weight for v, weight in zip(self.m_per_s, self.weights, strict=True))
+
+    @classmethod
+    def of(cls, mean_m_per_s: float, deviation_m_per_s: float) -> Speeds:
+        """Return three-point Gauss-Hermite quadrature, exact to the fifth moment of a normal."""
+        if not deviation_m_per_s > NEGLIGIBLE * mean_m_per_s:
+            return cls((mean_m_per_s,), (1.0,))
+        step = math.sqrt(3) * deviation_m_per_s
+        nodes = (mean_m_per_s - step, mean_m_per_s, mean_m_per_s + step)
+        return cls(nodes, (1 / 6, 2 / 3, 1 / 6))
+
+
+@dataclass(frozen=True)
+class SpeedRange:
+    """Range of speeds, and direction of travel, that one model reads."""
+
+    low_m_per_s: float
+    high_m_per_s: float
+    direction: Direction = FORWARD
+
+    @classmethod
+    def around(cls, trained_m_per_s: float, half_width: float) -> SpeedRange:
+        """Return the speeds within 1 +- `half_width` of that of the training curves."""
+        return cls(trained_m_per_s * (1 - half_width), trained_m_per_s * (1 + half_width))
+
+    @classmethod
+    def read_by(cls, setting: float | Sequence[float], half_width: float) -> SpeedRange:
+        """Return the speeds that the models trained with a setting `speed_m_per_s` read."""
+        if isinstance(setting, float | int):
+            return cls.around(setting, half_width)
+        return cls(min(setting), max(setting))
+
+    @property
+    def trained_m_per_s(self) -> float:
+        """Speed of the training curves, the middle of the range."""
+        return (self.low_m_per_s + self.high_m_per_s) / 2
+
+    @property
+    def half_width(self) -> float:
+        """Half width relative to the middle, [-]."""
+        return (self.high_m_per_s - self.low_m_per_s) / (self.high_m_per_s + self.low_m_per_s)
+
+    @property
+    def name(self) -> str:
+        """Name of the folder of the range's model."""
+        end = "_reverse" if self.direction == REVERSE else ""
+        return f"{self.low_m_per_s:.1f}_to_{self.high_m_per_s:.1f}_m_per_s{end}"
+
+    def holds(self, speed_m_per_s: float) -> bool:
+        """Return whether a speed is in the range, including its ends with rounding."""
+        low, high = self.low_m_per_s, self.high_m_per_s
+        return low * (1 - ROUNDING) <= speed_m_per_s <= high * (1 + ROUNDING)
+
+
+def reading_range(speed_m_per_s: float, ranges: Iterable[SpeedRange]) -> SpeedRange | None:
+    """Return the range that contains a speed, by the nearest middle; None if there is none."""
+    holding = [speeds for speeds in ranges if speeds.holds(speed_m_per_s)]
+    return min(
+        holding,
+        key=lambda speeds: abs(math.log(speed_m_per_s / speeds.trained_m_per_s)),
+        default=None,
+    )
+
+
+def range_words(ranges: Iterable[SpeedRange]) -> str:
+    """Return the union of some ranges as text.
+
+    >>> range_words([SpeedRange(70, 80), SpeedRange(60, 70), SpeedRange(20, 25)])
+    '20.0 to 25.0 and 60.0 to 80.0 m/s'
+    """
+    joined: list[SpeedRange] = []
+    for speeds in sorted(ranges, key=lambda speeds: speeds.low_m_per_s):
+        if joined and joined[-1].holds(speeds.low_m_per_s):
+            high = max(joined[-1].high_m_per_s, speeds.high_m_per_s)
+            joined[-1] = SpeedRange(joined[-1].low_m_per_s, high)
+        else:
+            joined.append(speeds)
+    words = (
+        Finding("range", low=speeds.low_m_per_s, high=speeds.high_m_per_s) for speeds in joined
+    )
+    return Finding("metres-per-second", words=together(words, " and "))
+
+
+def covering(speeds: Sequence[float], half_width: float) -> float | list[float]:
+    """Return the setting `speed_m_per_s` whose models read all speeds, with a ``MARGIN``.
+
+    One speed to a tenth where one model is enough, otherwise lowest and highest as whole numbers.
+    `half_width` is that of the range of one model.
+
+    >>> covering([69.8, 70.2], 0.08), covering([61.5, 77.2], 0.08)
+    (70.0, [60.0, 79.0])
+    """
+    low, high = min(speeds) / (1 + MARGIN), max(speeds) * (1 + MARGIN)
+    middle = round((low + high) / 2, 1)
+    reads = SpeedRange.around(middle, half_width)
+    if reads.holds(low) and reads.holds(high):
+        return middle
+    return [float(math.floor(low)) or low, float(math.ceil(high))]
+
+
+def setting_words(setting: float | Sequence[float]) -> str:
+    """Return a setting of speeds as on the command line.
+
+    >>> setting_words(70.0), setting_words([60.0, 79.0])
+    ('speed_m_per_s=70', 'speed_m_per_s=[60,79]')
+    """
+    if isinstance(setting, float | int):
+        return f"speed_m_per_s={setting:g}"
+    return f"speed_m_per_s=[{','.join(f'{speed:g}' for speed in setting)}]"

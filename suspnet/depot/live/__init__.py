@@ -1,0 +1,1 @@
+"""Frames of running trains become trips of the history; alarms are sent to people."""

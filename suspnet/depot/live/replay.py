@@ -1,0 +1,283 @@
+"""Recorded trips of a fleet as one stream of frames, all suspensions merged by time, at a set pace.
+
+Frames hold the raw samples of each sensor, with the times at which they were taken.
+"""
+
+from __future__ import annotations
+
+import heapq
+import logging
+import math
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, tzinfo
+from itertools import chain
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from suspnet.ground.settings import Setting, check_settings, check_values, setting
+from suspnet.ground.types import FloatArray
+from suspnet.trains.recordings.clocks import offsets_s
+from suspnet.trains.recordings.dates import EPOCH, SECOND_NS, ahead_ns, nanoseconds, time_zone
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.faults import find_gaps, runs
+from suspnet.trains.recordings.frames import MOST_SAMPLES, Frame, end_ns
+from suspnet.trains.recordings.manifest import TripManifest
+from suspnet.trains.recordings.manifest_files import ManifestFile
+from suspnet.trains.recordings.manifest_sources import UNITS
+from suspnet.trains.recordings.sources import open_source, zero_of
+from suspnet.trains.trips.grouping import find_groups
+
+log = logging.getLogger(__name__)
+PAUSE_S = 3600
+"""Time between the end of a trip and the start of the next one of the same suspension, if neither
+manifests nor files give dates, [s]."""
+LONGEST_WAIT_S = 60.0
+"""Longest gap between frames that a paced replay waits for, in recorded time, [s]."""
+MILEAGE, TEMPERATURE = ("mileage", "km"), ("temperature", "degC")
+"""Sensor and unit of the frames of one sample at the start of a trip."""
+SLOW_HZ = 1.0  # nominal rate of the frames of one sample
+
+
+@dataclass
+class Replay:
+    """The frames of all trips of a folder.
+
+    `folder` is as for `find_groups`, `frame_s` [s] the length of a frame, and `zone` the time zone
+    of times without one: "UTC", "+02:00" or "Europe/Berlin". `start`, in ISO 8601, dates the first
+    trip of each suspension whose manifests and files give no date; its other trips follow after
+    ``PAUSE_S``. `n_suspensions` and `n_trips` count suspensions and started trips; `problems`
+    states why trips are missing or end early. Memory holds one block of each sensor of one trip of
+    each suspension.
+    """
+
+    folder: Path
+    frame_s: float = setting(1.0, "Length of a frame", "s", low=0.01, high=60)
+    start: str | None = None
+    zone: str = "UTC"
+    n_suspensions: int = 0
+    n_trips: int = 0
+    problems: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        self._zone: tzinfo = time_zone(self.zone)
+        self._start_ns: int | None = None
+        if self.start is not None:
+            self._start_ns = _parsed(self.start, self._zone)
+        by_name: dict[str, list[TripManifest]] = {}
+        for group in find_groups(self.folder):
+            trips = [trip for file in group.manifests if (trip := self._read(file))]
+            for name in {str(trip.place) for trip in trips}:
+                if name in by_name:
+                    raise ValueError(
+                        f"{group.folder} holds trips of {name!r}, as another folder does; "
+                        "distinguish them by `train` and `car` in the manifests"
+                    )
+            for trip in trips:
+                by_name.setdefault(str(trip.place), []).append(trip)
+            if group.error:
+                self._report(f"{group.folder}: {group.error}")
+        self.n_suspensions = len(by_name)
+        self._trips = list(by_name.values())
+
+    def frames(self) -> Iterator[Frame]:
+        """Yield the frames of all suspensions in the order of their ends, as loggers send them."""
+        yield from heapq.merge(*map(self._suspension, self._trips), key=end_ns)
+
+    def _read(self, file: ManifestFile) -> TripManifest | None:
+        try:
+            return file.trip
+        except TripError as error:
+            self._report(str(error))
+            return None
+
+    def _suspension(self, trips: Sequence[TripManifest]) -> Iterator[Frame]:
+        numbers: Counter[str] = Counter()
+        last_ns: int | None = None
+        for trip in _in_order(trips, self._zone):
+            try:
+                dated_ns, offsets = trip_clock(trip, self._zone)
+                zero_ns = self._undated(trip, last_ns) if dated_ns is None else dated_ns
+                self.n_trips += 1
+                before_ns = last_ns
+                for frame in trip_frames(trip, zero_ns, offsets, numbers, self.frame_s):
+                    if before_ns is not None and frame.time_ns < before_ns:
+                        self._report(f"{trip.path}: starts before the end of the trip before it")
+                    before_ns = None
+                    last_ns = max(end_ns(frame), last_ns or 0)
+                    yield frame
+            except TripError as error:
+                self._report(str(error))
+
+    def _undated(self, trip: TripManifest, last_ns: int | None) -> int:
+        """Return when a trip without a date starts; TripError if `start` is not given."""
+        if self._start_ns is None:
+            raise TripError(
+                f"{trip.path}: neither `start` nor the data files say when the trip was recorded; "
+                "write `start` into the manifest, or give start= to the replay"
+            )
+        if last_ns is None:
+            return self._start_ns
+        return math.ceil(last_ns / SECOND_NS + PAUSE_S) * SECOND_NS
+
+    def _report(self, problem: str) -> None:
+        self.problems.append(problem)
+        log.warning("%s", problem)
+
+
+class Pace:
+    """Waits so that frames arrive as fast as recorded, or `times` faster; None does not wait."""
+
+    settings: ClassVar[Mapping[str, Setting]] = {
+        "times": Setting(
+            "How many times faster than recorded frames are sent; null is as fast as they are "
+            "taken",
+            low=1e-3,
+            high=1e6,
+        )
+    }
+
+    def __init__(self, times: float | None = 1.0) -> None:
+        check_values(Pace, times=times)
+        self.times = times
+        self._last_ns: int | None = None
+        self._due_s = 0.0
+
+    def wait(self, frame: Frame) -> None:
+        """Wait until a frame is due: as long after the previous one as it was recorded later.
+
+        The wait is at most ``LONGEST_WAIT_S`` of recorded time; delays of the receiver are caught
+        up.
+        """
+        if self.times is None:
+            return
+        now_ns = end_ns(frame)
+        if self._last_ns is None:
+            self._due_s, self._last_ns = time.monotonic(), now_ns
+        passed_s = min((now_ns - self._last_ns) / SECOND_NS, LONGEST_WAIT_S)
+        self._due_s += max(passed_s, 0.0) / self.times
+        self._last_ns = max(now_ns, self._last_ns)
+        time.sleep(max(0.0, self._due_s - time.monotonic()))
+
+
+def _in_order(trips: Sequence[TripManifest], zone: tzinfo) -> list[TripManifest]:
+    """Return trips by start if all of them have one, else by mileage."""
+    if any(trip.start is None for trip in trips):
+        return sorted(trips, key=lambda trip: trip.mileage_km)
+    return sorted(trips, key=lambda trip: nanoseconds(trip.start or EPOCH, zone))
+
+
+def _parsed(text: str, zone: tzinfo) -> int:
+    try:
+        return nanoseconds(datetime.fromisoformat(text), zone)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"`start` must be a date and time like 2026-03-01T06:00:00Z, got {text!r}"
+        ) from None
+
+
+def trip_clock(
+    manifest: TripManifest, zone: tzinfo = UTC
+) -> tuple[int | None, Mapping[str, float]]:
+    """Return the zero of a trip's clock, and the offset of each sensor's and the speed's times [s].
+
+    The zero is in ns since 1970 in UTC, None if neither manifest nor files give it; offsets are
+    added to a sensor's own times. TripError is raised if a file cannot be read, or clocks cannot be
+    aligned.
+    """
+    zeros = {name: zero_of(manifest, name) for name in manifest.sources()}
+    offsets = offsets_s(manifest, zeros)
+    dated = {name: zero.ns for name, zero in zeros.items() if zero.ns is not None}
+    for name, ns in dated.items():
+        zero_ns = ns - round(offsets[name] * SECOND_NS)
+        return zero_ns - (0 if zeros[name].is_zoned else ahead_ns(zero_ns, zone)), offsets
+    return None if manifest.start is None else nanoseconds(manifest.start, zone), offsets
+
+
+def trip_frames(
+    manifest: TripManifest,
+    zero_ns: int,
+    offsets: Mapping[str, float],
+    numbers: Counter[str],
+    frame_s: float = 1.0,
+) -> Iterator[Frame]:
+    """Yield the frames of a trip in the order of their ends, when a logger would send them.
+
+    Samples have the unit of the manifest and are as in the file: not cleaned, filtered or turned.
+    They are float32 if that holds them exactly, else float64. A missing sample (NaN, infinite or
+    absurd) or a missing time ends a frame; so does sample ``MOST_SAMPLES``. A block of each sensor
+    is in memory. `zero_ns` and `offsets` are those of `trip_clock`; `numbers`, the sequence number
+    of each sensor's next frame, is updated.
+    """
+    suspension = str(manifest.place)
+    streams = [
+        _sensor_frames(manifest, name, zero_ns + round(offsets[name] * SECOND_NS), numbers, frame_s)
+        for name in manifest.sources()
+    ]
+    merged = heapq.merge(*streams, key=end_ns)
+    for first in merged:
+        slow = {MILEAGE: manifest.mileage_km, TEMPERATURE: manifest.temperature_c}
+        for (name, unit), value in slow.items():
+            if value is not None:
+                number, sample = _next(numbers, name), np.array([value])
+                yield Frame(suspension, name, number, first.time_ns, SLOW_HZ, unit, sample)
+        yield first
+        break
+    yield from merged
+
+
+def _sensor_frames(
+    manifest: TripManifest, name: str, zero_ns: int, numbers: Counter[str], frame_s: float
+) -> Iterator[Frame]:
+    """Yield the frames of one sensor, whose times count from `zero_ns`."""
+    source, suspension = manifest.sources()[name], str(manifest.place)
+    with open_source(manifest, source, manifest.where(name)) as opened:
+        # the manifest's unit, and the factor from the file's numbers to it
+        unit = source.unit or next(iter(UNITS[source.kind]))
+        factor = abs(opened.size) / source.si_size
+        blocks = opened.even()
+        first_block = next(blocks)
+        rate_hz = opened.known_rate_hz
+        first_s = source.start_s + opened.first_s
+        first_ns = zero_ns + round(first_s * SECOND_NS)
+        size = max(1, min(MOST_SAMPLES, round(frame_s * rate_hz)))
+        whole = chain([first_block], blocks)
+        del first_block  # frees as much memory as all else of a sensor takes
+        for at, values in _recut(whole, size):
+            for start, stop in zip(*runs(~find_gaps(values)), strict=True):
+                time_ns = first_ns + round((at + start) * SECOND_NS / rate_hz)
+                samples = _shortest(factor * values[start:stop])
+                number = _next(numbers, name)
+                yield Frame(suspension, name, number, time_ns, rate_hz, unit, samples)
+
+
+def _recut(blocks: Iterable[FloatArray], size: int) -> Iterator[tuple[int, FloatArray]]:
+    """Yield the start and the samples of pieces of `size` samples; the last one may be shorter."""
+    at, rest = 0, np.empty(0)
+    for block in blocks:
+        rest = np.concatenate([rest, block])
+        del block
+        n_whole = len(rest) - len(rest) % size
+        for start in range(0, n_whole, size):
+            yield at + start, rest[start : start + size]
+        at, rest = at + n_whole, rest[n_whole:]
+    if len(rest):
+        yield at, rest
+
+
+def _shortest(samples: FloatArray) -> FloatArray:
+    """Return samples in single precision if that changes none of them."""
+    with np.errstate(over="ignore"):
+        single: Any = samples.astype(np.float32)
+    return single if (single == samples).all() else samples
+
+
+def _next(numbers: Counter[str], name: str) -> int:
+    """Return the number of a sensor's next frame, and count it."""
+    numbers[name] += 1
+    return numbers[name] - 1

@@ -1,1 +1,0 @@
-"""Recordings of trips: manifests, files, cleaning, one clock for all channels."""

@@ -1,1 +1,0 @@
-"""Output for people: texts, tables, figures and pages."""

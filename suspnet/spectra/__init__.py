@@ -1,1 +1,0 @@
-"""Frequency responses: their estimates, their noise and their features."""

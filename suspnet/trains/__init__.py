@@ -1,0 +1,1 @@
+"""Trains: from recordings to a suspension that wears, its history and its maintenance."""

@@ -1,0 +1,1 @@
+"""Fits of a vehicle to spectra: commissioning on healthy trips, the parts of a bogie."""

@@ -1,0 +1,146 @@
+"""Which of a bogie's twelve parts have worn: a verdict with odds, as wear is sparse.
+
+An estimate gives the logarithms e of the twelve ratios with the covariance C. Parts that have not
+worn scatter by ``USUAL``, those of one kind (the four k_p) by ``SHARED`` alike, as temperature and
+load act on all of them; worn ones scatter by ``WEAR`` as well. For a set W of worn parts::
+
+    log P(e | W) = -1/2 (e^T V^-1 e + log det V),
+    V = C + USUAL^2 + SHARED^2 within a kind + WEAR^2 on the diagonal of W
+
+A part has worn with the prior probability ``RARE``, springs to either side, dampers upwards in the
+fraction ``STIFFER`` of cases: oil and seals are lost, blocked valves are rare. The side is that of
+the part's wear as expected given e and W, WEAR^2 V^-1 e. Parts, or all of a kind at once, join W
+one after the other, the most probable first, as long as the odds of W with it over W without it
+exceed 20 : 1; then those leave again whose odds, given the others, do not. Where another part in
+its place is not 20 times less probable, they are named together. The estimates themselves are not
+changed by this.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from suspnet.ground.findings import WORN, WORN_ONE_OF, Finding, together
+from suspnet.ground.parameters import BOGIE_PARTS, kind_of, part_words
+from suspnet.ground.types import FloatArray
+from suspnet.trains.fits.bogie_fit import PartsEstimate
+from suspnet.trains.fits.bogie_search import WEAR
+
+USUAL = {"k": 0.003, "c": 0.006}
+"""Standard deviation of the logarithm of a part that has not worn, of springs and of dampers."""
+SHARED = {"k": 0.005, "c": 0.02}
+"""Standard deviation that all parts of a kind have in common: 5 K more make every damper 2 % weaker
+where a manifest gives no temperature."""
+RARE = 0.01
+"""Prior probability that a part has worn."""
+STIFFER = {"k": 0.5, "c": 0.1}
+"""Fraction of the worn springs and dampers that have more than healthy; an assumption, chosen when
+one of two secondary dampers at 95 % could not be told from the other at 105 % with both weaker."""
+ODDS = 20.0
+"""Odds from which a part is named."""
+MOST_ODDS = 1000.0
+"""Odds above which no number is reported: they are those of a model."""
+
+
+@dataclass(frozen=True)
+class WornPart:
+    """A part that has worn, or several of which one has.
+
+    `names` are of ``COMPONENTS``, the most probable first; `odds` are those of wear over none;
+    `ratio` is the estimate of the first one, [-].
+    """
+
+    names: tuple[str, ...]
+    odds: float
+    ratio: float
+
+    @property
+    def is_named(self) -> bool:
+        """Whether one part alone is accused."""
+        return len(self.names) == 1
+
+    @property
+    def finding(self) -> Finding:
+        """The part with its level and the odds."""
+        above, unknown = self.odds > MOST_ODDS, not self.is_named
+        return Finding(
+            WORN_ONE_OF if unknown else WORN,
+            names=self.names,
+            where=together(map(part_words, self.names), " or "),
+            percent=100 * self.ratio,
+            odds=Finding("odds-over" if above else "odds", odds=min(self.odds, MOST_ODDS)),
+        )
+
+
+def worn_parts(estimate: PartsEstimate) -> list[WornPart]:
+    """Return the parts that have worn, the most certain first; none if none has."""
+    logs = np.log(estimate.values[: len(BOGIE_PARTS)])
+    covariance = estimate.covariance[: len(BOGIE_PARTS), : len(BOGIE_PARTS)] + _usual()
+
+    def log_odds(worn: Sequence[int]) -> float:
+        return _log_probability(logs, covariance, worn) + len(worn) * math.log(RARE / (1 - RARE))
+
+    worn: list[int] = []
+    for _ in BOGIE_PARTS:  # each round adds a part or ends
+        events = {event: log_odds([*worn, *event]) for event in _events(worn)}
+        best = max(events, key=events.__getitem__, default=())
+        if not best or events[best] - log_odds(worn) < math.log(ODDS):
+            break
+        worn += best
+    for _ in tuple(worn):  # a part that another one has explained since leaves again
+        gains = {j: log_odds(worn) - log_odds([i for i in worn if i != j]) for j in worn}
+        least = min(gains, key=gains.__getitem__)
+        if gains[least] >= math.log(ODDS):
+            break
+        worn.remove(least)
+    found = []
+    for j in worn:
+        rest = [i for i in worn if i != j]
+        others = {
+            i: log_odds(worn) - log_odds([*rest, i])
+            for i in range(len(BOGIE_PARTS))
+            if i not in worn
+        }
+        alike = [i for i in sorted(others, key=others.__getitem__) if others[i] < math.log(ODDS)]
+        names = tuple(BOGIE_PARTS[i] for i in (j, *alike))
+        odds = math.exp(min(log_odds(worn) - log_odds(rest), 700.0))
+        found.append(WornPart(names, odds, float(estimate.values[j])))
+    return sorted(found, key=lambda one: -one.odds)
+
+
+def _events(worn: Sequence[int]) -> list[tuple[int, ...]]:
+    """Return what may join the worn parts: each other one, or all of a kind at once.
+
+    What parts of a kind share hides that all have worn alike until the last one joins.
+    """
+    single = [(j,) for j in range(len(BOGIE_PARTS)) if j not in worn]
+    kinds = {kind_of(name) for name in BOGIE_PARTS}
+    whole = [
+        tuple(j for j, n in enumerate(BOGIE_PARTS) if kind_of(n) == kind) for kind in sorted(kinds)
+    ]
+    return [*single, *(event for event in whole if not set(event) & set(worn))]
+
+
+def _usual() -> FloatArray:
+    """Return the covariance of the logarithms of parts that have not worn, (12, 12)."""
+    kinds = np.array([kind_of(name) for name in BOGIE_PARTS])
+    shared = np.array([SHARED[kind[0]] for kind in kinds])
+    own = np.array([USUAL[kind[0]] for kind in kinds])
+    return np.diag(own**2) + np.where(kinds[:, None] == kinds, shared**2, 0.0)
+
+
+def _log_probability(logs: FloatArray, covariance: FloatArray, worn: Sequence[int]) -> float:
+    """Return log P(e | W) up to a constant, with the prior of the side to which each part wears."""
+    whole = covariance.copy()
+    chosen = list(worn)
+    whole[chosen, chosen] += WEAR**2
+    sign, size = np.linalg.slogdet(whole)
+    assert sign > 0
+    weighted = np.linalg.solve(whole, logs)
+    stiffer = np.array([STIFFER[BOGIE_PARTS[j][0]] for j in chosen])
+    sides = np.where(weighted[chosen] > 0, stiffer, 1 - stiffer)
+    return float(-0.5 * (logs @ weighted + size) + np.log(2 * sides).sum())

@@ -1,0 +1,356 @@
+"""Description of a commissioned vehicle in sentences and in SI units."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from suspnet.curves.estimates import EstimateSettings
+from suspnet.estimation.commissioned_bogie import CommissionedBogie
+from suspnet.estimation.flags import INCOMPLETE, UNTRUSTED
+from suspnet.ground.findings import Finding, together
+from suspnet.ground.parameters import BOGIE_PARTS, PARAMETERS, REVERSE, kind_of
+from suspnet.ground.types import FloatArray
+from suspnet.trains.fits.bogie_fit import EXPLAINED
+from suspnet.trains.fits.commissioning import Commissioned
+from suspnet.trains.identification.healthy_trips import HealthyTrips
+from suspnet.vehicle.quantities import (
+    MASS_DEVIATION,
+    MASS_MEAN,
+    PARTS,
+    QUANTITIES,
+    UNMEASURED,
+    Quantity,
+)
+
+LEAST_AGREEING = 2
+"""Starts that must find the same vehicle, as a single one may have ended in another valley."""
+IDENTIFIED = 0.8
+"""A number is identified if the trips reduce its deviation below this fraction of the prior's."""
+NARROW = 0.5
+"""Largest standard deviation over the median for which a number is written with plus and minus."""
+SIMILAR = 1.5
+"""Factor between the minutes of healthy trips and of training above which a sentence reports it."""
+ODD_MASS = 2.0
+"""Deviations of the prior of a trip's mass beyond which the vehicle file's is to be checked."""
+MOST_CHANGE = 10.0
+"""Ratio of medians after and before from which that before is near 0, and no change is shown."""
+PREFIXES = ((1e6, "M"), (1e3, "k"))
+"""Prefixes of force units, the largest first."""
+PART_TITLES = {
+    "": "Springs, dampers, lengths and inertias",
+    "bushings": "Bushings of the dampers",
+    "rubber": "Rubber of the primary springs",
+    "guidance": "Axle guidance",
+    "longitudinal": "Longitudinal links between car body and bogie",
+    "yaw_dampers": "Yaw dampers between car body and bogie",
+    "bending": "First bending of the car body",
+    "roll": "Roll, cross level and lateral places",
+    "other_bogie": "The bogie that is not measured",
+    "payload": "What changes with the payload",
+    "sensors": "Sensitivity and delay of the sensors",
+    "wheelsets": "Excitation of single wheelsets",
+    "axle_box_arm": "Sensor on the arm of the axle box",
+    "air_spring": "Air spring",
+}
+SYMBOLS = {
+    **{f"healthy_{name}": name for name in PARAMETERS[:4]},
+    "half_wheelbase": "a",
+    "half_pivot_distance": "L",
+    "bogie_gyration": "\N{GREEK SMALL LETTER RHO}_b",
+    "body_gyration": "\N{GREEK SMALL LETTER RHO}_c",
+    "body_lever": "h_2",
+    "bogie_lever": "h_3",
+    "bending_at_pivot": "p",
+    "bending_slope": "\N{GREEK SMALL LETTER SIGMA}",
+    "arm_share": "e",
+}
+"""Symbols of those quantities that have one in the equations of the vehicle."""
+
+
+@dataclass(frozen=True)
+class Number:
+    """One uncertain number of a vehicle before and after commissioning.
+
+    `nominal` is the value of the drawing. `prior` and `posterior` are the median minus one standard
+    deviation, the median, and plus one, in SI units; `deviations` [-] are those of the logarithm in
+    prior and posterior.
+    """
+
+    quantity: Quantity
+    nominal: float
+    prior: tuple[float, float, float]
+    posterior: tuple[float, float, float]
+    deviations: tuple[float, float]
+
+    @property
+    def ratio(self) -> float | None:
+        """Median of the posterior over that of the prior, [-]; None if that is near 0."""
+        before, after = self.prior[1], self.posterior[1]
+        is_near_0 = not self.quantity.median or abs(after) >= MOST_CHANGE * abs(before)
+        return None if is_near_0 else after / before
+
+    @property
+    def uncertainty_left(self) -> float:
+        """Deviation of the posterior over the prior's, [-]; 1 if the trips add no information."""
+        return self.deviations[1] / self.deviations[0]
+
+    @property
+    def is_told(self) -> bool:
+        """Whether the trips identify the number."""
+        return self.uncertainty_left < IDENTIFIED
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the number in SI units, for a file."""
+        return {
+            "name": self.quantity.name,
+            "meaning": self.quantity.meaning,
+            "part": self.quantity.part,
+            "unit": self.quantity.unit or "1",
+            "nominal": self.nominal,
+            "prior": _as_json(self.prior, self.deviations[0]),
+            "posterior": _as_json(self.posterior, self.deviations[1]),
+            "ratio": self.ratio,
+            "uncertainty_left": self.uncertainty_left,
+            "told": self.is_told,
+        }
+
+
+def numbers(outcome: Commissioned) -> list[Number]:
+    """Return every uncertain number, ordered by the part of the vehicle."""
+    nominal = dict(
+        zip(UNMEASURED, outcome.generator.nominal_values()[len(PARAMETERS) :], strict=True)
+    )
+    known = {quantity.name: quantity for quantity in QUANTITIES}
+    both = outcome.prior, outcome.posterior
+    ends = [np.stack([one.quantile(n) for n in (-1, 0, 1)], axis=1) for one in both]
+    found = []
+    for i, name in enumerate(outcome.prior.names):
+        prior, posterior = (tuple((nominal[name] * part[i]).tolist()) for part in ends)
+        was, left = (float(one.deviations[i]) for one in both)
+        found.append(Number(known[name], nominal[name], prior, posterior, (was, left)))
+    return sorted(found, key=lambda one: ("", *PARTS).index(one.quantity.part))
+
+
+def is_explained(outcome: Commissioned) -> bool:
+    """Return whether the vehicle explains its healthy trips."""
+    return outcome.misfit <= INCOMPLETE
+
+
+LOOK_FIRST = Finding("look-at-sensors-first", untrusted=UNTRUSTED)
+"""Advice on a vehicle that is far from its trips."""
+
+
+def doubts(outcome: Commissioned, *, by_part: bool = False) -> list[str]:
+    """Return a sentence for each reason not to rely on a commissioned vehicle.
+
+    If each part is read, sides and axles that differ are not in this vehicle: a misfit is a reason
+    only where estimates are flagged for it, a search that it ends early is none, and no other start
+    has been searched.
+    """
+    found: list[str] = []
+    if not outcome.misfits:
+        return found  # the bogie has its own
+    differ = by_part and not is_explained(outcome)
+    if not is_explained(outcome) and not (by_part and outcome.misfit <= UNTRUSTED):
+        found.append(Finding("vehicle-misfit", incomplete=INCOMPLETE, untrusted=UNTRUSTED))
+    if outcome.misfit > UNTRUSTED:
+        found.append(LOOK_FIRST)
+    if not outcome.converged and not differ:
+        found.append(
+            "The search for the vehicle did not converge: its numbers may not be the most "
+            "probable ones. Commission on more or longer trips."
+        )
+    if outcome.n_agree < LEAST_AGREEING and not by_part:
+        found.append(Finding("no-start-agrees", n_starts=outcome.n_starts))
+    return found
+
+
+def unplaced(found: HealthyTrips) -> str | None:
+    """Return a sentence if single sensors are assumed in the middle because no side is given."""
+    if not (names := found.manifests[0].unplaced):
+        return None
+    return Finding("sensors-unplaced", names=together(names, ", "))
+
+
+def other_minutes(found: HealthyTrips, settings: EstimateSettings) -> str | None:
+    """Return a sentence if the trips for training are far longer or shorter than these."""
+    usual = float(np.median([group.spectra.n_averages for group in found.groups]))
+    share = usual / settings.n_averages
+    if 1 / SIMILAR <= share <= SIMILAR:
+        return None
+    minutes = settings.minutes * share
+    return (
+        f"The healthy trips have about {minutes:.2g} usable minutes at one speed, models are "
+        f"trained for {settings.minutes:g}: data.minutes={minutes:.2g} would suit them better."
+    )
+
+
+def verdict(found: HealthyTrips, outcome: Commissioned) -> str:
+    """Return a sentence on whether the vehicle explains its healthy trips."""
+    n_trips, n_groups = len(found.manifests), len(found.groups)
+    stretches = Finding("stretches", n=n_groups) if n_groups > n_trips else ""
+    n_reverse = len({group.trip for group in found.groups if group.direction == REVERSE})
+    in_reverse = Finding("number-in-reverse", n=n_reverse) if n_reverse else ""
+    trips = together((Finding("trips", n=n_trips), stretches, in_reverse), ", ")
+    kind = "explains" if is_explained(outcome) else "does-not-explain"
+    return Finding(kind, trips=trips, misfit=outcome.misfit)
+
+
+def of_parts(bogie: CommissionedBogie) -> str:
+    """Return a sentence on a bogie of which each part is read."""
+    healthy = dict(zip(bogie.healthy.names, bogie.healthy.values, strict=True))
+    spreads = {}
+    for kind, name in (("k", "springs"), ("c", "dampers")):
+        ratios = [
+            healthy[one] / np.mean([healthy[o] for o in BOGIE_PARTS if kind_of(o) == kind_of(one)])
+            for one in BOGIE_PARTS
+            if one.startswith(kind)
+        ]
+        spreads[name] = 100 * max(abs(ratio - 1) for ratio in ratios)
+    return Finding("each-part-is-read", misfit=bogie.misfit, **spreads)
+
+
+def as_equal(outcome: Commissioned) -> str:
+    """Return a sentence on the vertical vehicle where each part is read."""
+    if not outcome.misfits:
+        return NO_CURVES
+    return Finding("misfit-as-equal", misfit=outcome.misfit)
+
+
+NO_CURVES = (
+    "Both sides and axles as equal are not read, as that takes sensors at axle 1 on axle box, "
+    "frame and body: trips that do not show their parts have no estimate."
+)
+"""Sentence on a bogie whose sensors show its parts only."""
+SHOWS_MASS = 2 * EXPLAINED
+"""Largest misfit of the parts with which the mass of the healthy trips is told."""
+
+
+def doubts_of_parts(bogie: CommissionedBogie) -> list[str]:
+    """Return a sentence for each reason not to rely on a bogie of which each part is read."""
+    found: list[str] = []
+    if not bogie.misfit <= EXPLAINED:
+        found.append(Finding("parts-misfit", explained=EXPLAINED))
+    if bogie.misfit > UNTRUSTED:
+        found.append(LOOK_FIRST)
+    if not bogie.converged:
+        found.append(NOT_CONVERGED)
+    # what does not explain the trips shows no mass either
+    doubt = mass_doubt(bogie.masses) if bogie.misfit <= SHOWS_MASS else None
+    return [*found, *filter(None, [doubt])]
+
+
+def calm_of_parts() -> str:
+    """Return the sentence on a bogie without doubts."""
+    return Finding("parts-explained", explained=EXPLAINED)
+
+
+NOT_CONVERGED = (
+    "The search for the bogie did not end within its steps: its parts are not to be relied on, and "
+    "wrong ones may be named. Give more healthy trips of several payloads and speeds, and sensors "
+    "at the axle boxes where there are none."
+)
+"""Doubt about a bogie whose search did not converge."""
+
+
+def mass_doubt(masses: FloatArray) -> str | None:
+    """Return a sentence if healthy trips show another car body than the vehicle file.
+
+    `masses` (n_trips,) are over nominal, [-].
+    """
+    logs = np.log(masses)
+    if abs(logs.mean() - MASS_MEAN) <= ODD_MASS * MASS_DEVIATION:
+        return None
+    return Finding("mass-differs", exp=np.exp(logs.mean()))
+
+
+def agreement(outcome: Commissioned) -> str:
+    """Return a sentence on how many starts of the search found the same vehicle."""
+    return Finding("starts-agree", n_agree=outcome.n_agree, n_starts=outcome.n_starts)
+
+
+def reference(outcome: Commissioned) -> list[str]:
+    """Return what healthy means for models of this vehicle, as sentences."""
+    known = {one.quantity.name: one for one in numbers(outcome)}
+    values = [
+        f"{name} = {spoken(known[f'healthy_{name}'])}"
+        for name in PARAMETERS[:4]
+        if f"healthy_{name}" in known
+    ]
+    kind = "healthy-now-is" if values else "healthy-now"
+    if any("±" in value for value in values):
+        kind = "healthy-now-about"
+    laws = [law for law in (outcome.laws.temperature, outcome.laws.velocity) if law is not None]
+    return [Finding(kind, values=together(values, ", ")), *map(str, laws)]
+
+
+def untold(found: Sequence[Number]) -> str:
+    """Return a sentence on the numbers that the trips do not determine; empty if there are none."""
+    names = [one.quantity.meaning for one in found if not one.is_told]
+    if not names:
+        return ""
+    return Finding(
+        "numbers-untold", n_names=len(names), n_found=len(found), names=together(names, "; ")
+    )
+
+
+def force_scale(bogie_mass_kg: float) -> str:
+    """Return a sentence on the scale of all forces, which trips cannot determine."""
+    return Finding("force-scale", bogie_mass_kg=bogie_mass_kg)
+
+
+def spoken(one: Number) -> str:
+    """Return a number as commissioned with its uncertainty and unit."""
+    scale, unit = _unit(one)
+    return f"{_value(*one.posterior, scale)} {unit}".strip()
+
+
+def cells(one: Number) -> dict[str, Any]:
+    """Return a number as a row of a table."""
+    scale, unit = _unit(one)
+    quantity = one.quantity
+    return {
+        "symbol": SYMBOLS.get(quantity.name, ""),
+        "unit": unit or "1",
+        "prior": _value(*one.prior, scale),
+        "posterior": _value(*one.posterior, scale),
+        "change": None if one.ratio is None else one.ratio - 1,
+        "left": one.uncertainty_left,
+        "told": one.is_told,
+    }
+
+
+def _unit(one: Number) -> tuple[float, str]:
+    unit = one.quantity.unit
+    if unit.startswith("N"):
+        for scale, prefix in PREFIXES:
+            if one.nominal >= scale:
+                return scale, prefix + unit
+    return 1.0, unit
+
+
+def _as_json(ends: tuple[float, float, float], deviation: float) -> dict[str, float]:
+    low, median, high = ends
+    return {"median": median, "low": low, "high": high, "log_deviation": deviation}
+
+
+def _value(low: float, median: float, high: float, scale: float) -> str:
+    """Return a median with its standard deviation, or with its range where that is large."""
+    value, half = median / scale, (high - low) / scale / 2
+    if not half:
+        return f"{value:g}"
+    if half > NARROW * abs(value):
+        ends = (_rounded(one / scale, max(abs(one / scale), half / 10)) for one in (low, high))
+        return f"{_rounded(value, max(abs(value), half / 10))} ({' to '.join(ends)})"
+    return f"{_rounded(value, half)} ± {_rounded(half, half)}"
+
+
+def _rounded(value: float, least: float) -> str:
+    """Return a number with the decimals at which `least` shows two digits."""
+    digits = 1 - math.floor(math.log10(abs(least)))
+    return f"{round(value, digits) + 0.0:.{max(digits, 0)}f}"  # no minus before 0

@@ -1,0 +1,269 @@
+"""Healthy trips of a folder: their spectra at each speed, and their matrices for each part."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from suspnet.curves.estimates import EstimateSettings
+from suspnet.curves.speeds import NoEstimateError, Speeds
+from suspnet.curves.welch import SegmentSpectra
+from suspnet.estimation.trip_settings import LEAST_TRIPS, TripSettings
+from suspnet.ground.findings import Finding, at, of, together
+from suspnet.ground.parameters import DIRECTIONS, REVERSE, Direction
+from suspnet.ground.progress import bar
+from suspnet.ground.tensors import threads
+from suspnet.ground.wording import ShortRepr
+from suspnet.trains.fits.healthy_misfit import HealthySpectra
+from suspnet.trains.identification.bogie_trips import bogie_trip, bogie_vehicle
+from suspnet.trains.identification.direction import direction_of
+from suspnet.trains.identification.from_recording import no_channel, unrepaired_words
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.manifest import TripManifest
+from suspnet.trains.recordings.manifest_files import ManifestFile, find_manifests
+from suspnet.trains.recordings.recording import Recording, load_recording
+from suspnet.trains.sensors.swapped_sensors import Elsewhere, elsewhere
+from suspnet.trains.spectra.bogie_trip import BogieTrip
+from suspnet.trains.spectra.segments import recording_segments, segment_speeds
+from suspnet.trains.spectra.steady_parts import groups_to_read, steady
+from suspnet.trains.spectra.wheel_lines import wheel_lines
+from suspnet.vehicle import SpatialVehicle, VerticalVehicle
+
+
+@dataclass(frozen=True, repr=False)
+class HealthyTrips(ShortRepr):
+    """Spectra of the healthy trips of one suspension.
+
+    `manifests` are those of the trips in use; `paired` tells which of axle box, frame and body have
+    a sensor left and right; `left_out` are trips without a usable stretch, with the reason.
+    `later` are the directions of travel of the folder's other trips, as far as stated. Where each
+    part is to be read, `vehicle` is the one with the parts that the sensors show, and `of_parts`
+    are the trips as it reads them; `groups` are empty if a channel has no sensor at axle 1.
+    `doubts` are sentences on sensors that look to be elsewhere, and on the direction of travel.
+    """
+
+    manifests: tuple[TripManifest, ...]
+    groups: tuple[HealthySpectra, ...]
+    paired: tuple[bool, bool, bool]
+    left_out: tuple[str, ...] = ()
+    later: tuple[Direction, ...] = ()
+    vehicle: SpatialVehicle | None = None
+    of_parts: tuple[BogieTrip, ...] = ()
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def directions(self) -> tuple[Direction, ...]:
+        """Directions of travel of all trips of the folder: each needs a model of its own."""
+        run = {one.direction for one in self.groups} | {one.direction for one in self.of_parts}
+        run |= set(self.later)
+        return tuple(one for one in DIRECTIONS if one in run)
+
+    @property
+    def speeds_m_per_s(self) -> tuple[float, ...]:
+        """Speeds of the stretches in use, [m/s]."""
+        return tuple(one.speed_m_per_s for one in self.groups or self.of_parts)
+
+
+@threads(1)  # spectra are products of many small matrices
+def read_healthy(
+    folder: Path,
+    generator: VerticalVehicle,
+    settings: EstimateSettings,
+    trips: TripSettings,
+    *,
+    paths: Sequence[ManifestFile] | None = None,
+    n_first: int | None = None,
+    by_part: bool = False,
+    progress: bool = False,
+) -> HealthyTrips:
+    """Return the spectra of a folder's healthy trips.
+
+    Parameters
+    ----------
+    folder : Path
+        Holds a manifest for each trip of one suspension.
+    generator : VerticalVehicle
+        The vehicle and the bogie that the manifests must name, if they name a bogie.
+    settings : EstimateSettings
+        Bound to the vehicle: bins and window.
+    trips : TripSettings
+        How trips are read.
+    paths : sequence of ManifestFile, optional
+        Manifests to read, if the folder holds others as well; None is all.
+    n_first : int, optional
+        Use only the first trips by mileage.
+    by_part : bool
+        Whether each part is to be read.
+    progress : bool
+        Show a progress bar.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such folder, or no manifest in it.
+    TripError
+        If the trips are of another vehicle or bogie, of several suspensions or of different
+        sensors, if these do not show the parts that are to be read, if a recording is faulty, or if
+        fewer than three trips have a usable stretch.
+    """
+    manifests = [one.trip for one in paths or map(ManifestFile, find_manifests(folder))]
+    manifests.sort(key=lambda manifest: manifest.mileage_km)
+    n_first = len(manifests) if n_first is None else n_first
+    manifests, later = manifests[:n_first], manifests[n_first:]
+    _check_same(folder, manifests, generator)
+    vehicle = bogie_vehicle(manifests, generator) if by_part else None
+    of_parts = []
+    # a trip without a usable stretch is left out, with the reason
+    kept: list[TripManifest] = []
+    groups: list[HealthySpectra] = []
+    paired: set[tuple[bool, bool, bool]] = set()
+    left_out = []
+    has_curves = True
+    others: list[Elsewhere | None] = []
+    for manifest in bar("healthy trips", items=manifests, unit="trip", shown=progress):
+        recording = load_recording(manifest, trips.rate_hz)
+        if recording.dead:
+            faults = [str(fault) for fault in recording.faults if fault.channel in recording.dead]
+            left_out.append(of(manifest.name, together(faults, ": ")))
+            continue
+        if recording.absent and vehicle is None:
+            raise TripError(of(manifest.path, no_channel(recording)))
+        has_curves &= not recording.absent
+        segments = recording_segments(recording, settings.welch)
+        is_read, other = not recording.absent, None
+        found = _spectra(recording, segments, len(kept), settings, trips) if is_read else []
+        if found and trips.check_channels:
+            other = elsewhere(generator, settings, found[0], manifest.direction)
+        # phases show the direction only with the sensors in their places
+        placed = generator if other is None else other.found.vehicle
+        direction = direction_of(recording, segments, placed, trips)
+        found = [replace(one, direction=direction) for one in found]
+        if is_read and not found:
+            words = together((Finding("no-steady-stretch"), unrepaired_words(recording)), ": ")
+            left_out.append(of(manifest.name, words))
+            continue
+        if vehicle is not None:
+            try:
+                of_parts.append(_with_all_sensors(recording, vehicle, trips, direction))
+            except NoEstimateError as reason:
+                left_out.append(of(manifest.name, str(reason)))
+                continue
+        kept.append(replace(manifest, start=manifest.start or recording.started))
+        others.append(other)
+        groups += found
+        paired.add(recording.paired)
+    # the remaining trips must be enough, and of the same sensors
+    if len(kept) < LEAST_TRIPS:
+        kind = "too-few-healthy-as" if left_out else "too-few-healthy"
+        given = {"n": len(kept), "least": LEAST_TRIPS, "reasons": together(left_out)}
+        raise TripError(at(folder, kind, **given))
+    if len(paired) > 1:
+        raise TripError(at(folder, "pairs-and-single-sensors"))
+    stated = tuple(manifest.direction for manifest in later if manifest.direction is not None)
+    return HealthyTrips(
+        tuple(kept),
+        tuple(groups) if has_curves else (),
+        paired.pop(),
+        tuple(left_out),
+        stated,
+        vehicle,
+        tuple(of_parts),
+        tuple(_doubts(kept, groups, others, generator)),
+    )
+
+
+def _doubts(
+    manifests: Sequence[TripManifest],
+    groups: Sequence[HealthySpectra],
+    others: Sequence[Elsewhere | None],
+    generator: VerticalVehicle,
+) -> list[str]:
+    """Return sentences on trips that look measured elsewhere, and on trips all run in reverse."""
+    found: list[str] = []
+    changes = Counter(other.change for other in others if other is not None)
+    for change, n in changes.most_common(1):
+        if 2 * n > len(others):  # one trip alone may be at fault
+            first = next(one for one in others if one is not None and one.change == change)
+            found.append(
+                Finding("on-some-healthy-trips", n=n, n_others=len(others), first=str(first))
+            )
+    is_reverse = bool(groups) and all(one.direction == REVERSE for one in groups)
+    if is_reverse and all(one.direction is None for one in manifests):
+        found.append(
+            Finding(
+                "all-in-reverse",
+                n_others=len(others),
+                axle=generator.axle,
+                bogie=generator.bogie,
+                frame_sensor=generator.frame_sensor,
+            )
+        )
+    return found
+
+
+OTHER = {"bogie": "other-bogie", "axle": "other-axle"}
+"""Kinds of what is found where trips are of the other bogie or axle."""
+
+
+def _check_same(
+    folder: Path, manifests: Sequence[TripManifest], generator: VerticalVehicle
+) -> None:
+    """Raise TripError unless all manifests are of one suspension of the vehicle."""
+    vehicle = generator.vehicle.name
+    for manifest in manifests:
+        if manifest.vehicle != vehicle:
+            raise TripError(
+                at(
+                    manifest.path,
+                    "of-another-vehicle",
+                    vehicle=repr(manifest.vehicle),
+                    vehicle2=vehicle,
+                )
+            )
+    places = sorted({str(manifest.place) for manifest in manifests})
+    if len(places) > 1:
+        raise TripError(at(folder, "several-suspensions", places=together(places, ", ")))
+    for key, ours in (("bogie", generator.bogie), ("axle", generator.axle)):
+        for named in {getattr(one, key) for one in manifests} - {None, ours}:
+            raise TripError(at(folder, OTHER[key], named=named, own=ours))
+
+
+def _with_all_sensors(
+    recording: Recording, vehicle: SpatialVehicle, trips: TripSettings, direction: Direction
+) -> BogieTrip:
+    """Return a trip as its parts are read; NoEstimateError if it is too short for all sensors."""
+    found = bogie_trip(recording, vehicle, trips, direction)
+    if found.lost:
+        raise NoEstimateError(
+            Finding("no-stretch-of-all-sensors", unrepaired_words=unrepaired_words(recording))
+        )
+    return found
+
+
+def _spectra(
+    recording: Recording,
+    segments: SegmentSpectra,
+    trip: int,
+    settings: EstimateSettings,
+    trips: TripSettings,
+) -> list[HealthySpectra]:
+    if not len(segments.values):
+        return []
+    speeds = segment_speeds(recording, segments)
+    groups = groups_to_read(speeds, trips.speed_tolerance, trips.min_speed_m_per_s)
+    manifest = recording.manifest
+    # uncertain groups are included, as the fit of the vehicle weights each by its noise
+    return [
+        HealthySpectra(
+            trip,
+            manifest.name,
+            Speeds.of(*part.speed),
+            part.spectra,
+            left_out=part.left_out,
+            temperature_c=manifest.temperature_c,
+        )
+        for part in steady(segments, speeds, groups, settings, trips, wheel_lines(recording))
+        if part.spectra is not None and part.has_enough
+    ]

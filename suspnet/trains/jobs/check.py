@@ -1,0 +1,332 @@
+"""Checks of manifests and recordings without a model: faults, and how much can be read."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from suspnet.curves.estimates import EstimateSettings
+from suspnet.curves.speeds import NoEstimateError
+from suspnet.curves.welch import SegmentSpectra, Welch
+from suspnet.estimation.trained import TrainedModel
+from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.findings import Finding, together, with_values, without
+from suspnet.ground.records import ERROR, OK
+from suspnet.trains.identification.bogie_trips import sensor_places, show_parts
+from suspnet.trains.identification.from_recording import no_channel
+from suspnet.trains.pages.check_page import (
+    NEED_A_VEHICLE,
+    PROBLEM,
+    READY,
+    TOO_LITTLE,
+    SteadyPart,
+    TripCheck,
+    trip_figure,
+    write_picture,
+)
+from suspnet.trains.recordings.errors import TripError, all_of
+from suspnet.trains.recordings.formats import open_columns
+from suspnet.trains.recordings.manifest import CHANNELS, TripManifest
+from suspnet.trains.recordings.manifest_files import ManifestFile
+from suspnet.trains.recordings.manifest_sources import channel_of
+from suspnet.trains.recordings.recording import Recording, load_recording
+from suspnet.trains.spectra.segments import recording_segments, segment_speeds
+from suspnet.trains.spectra.steady_parts import (
+    Steady,
+    groups_to_read,
+    minutes_words,
+    readable_words,
+    steady,
+)
+from suspnet.trains.trips.commissionings import models_at, models_of
+from suspnet.trains.trips.sensor_checks import NO_DIRECTION, check_bogie, check_sensors
+from suspnet.trains.trips.trip import evaluate_recording
+from suspnet.vehicle import Vehicle, best_generator
+
+log = logging.getLogger(__name__)
+UNKNOWN_BAND_HZ = (0.5, 20.0)
+"""Band used for an unknown vehicle, that of most railway vehicles, [Hz]."""
+Opened = dict[tuple[Path, str | None, str | None], tuple[str, ...]]
+"""Why columns of a file cannot be opened, by file, times and column; empty if they can."""
+
+
+@dataclass(frozen=True)
+class CheckSettings:
+    """How trips are checked.
+
+    `vehicles` are known vehicles by the names that manifests use; `pictures` is the folder of the
+    pictures (None: no pictures). A trip is ready if `models` read it, or, without models, if a
+    model of its speed would.
+    """
+
+    vehicles: Mapping[str, Vehicle]
+    trips: TripSettings = field(default_factory=TripSettings)
+    pictures: Path | None = None
+    models: Sequence[TrainedModel] = ()
+
+
+def check_trip(
+    path: Path, settings: CheckSettings, picture: str = "", opened: Opened | None = None
+) -> TripCheck:
+    """Return what is wrong with a trip and how much of it can be read; it never fails.
+
+    `path` is the manifest, and `picture` a file name in the settings' folder. `opened` is shared by
+    the manifests of a folder, so that each column is opened once.
+    """
+    opened = {} if opened is None else opened
+    result = TripCheck(path)
+    try:
+        file = ManifestFile(path)
+        manifest, _ = all_of([lambda: file.trip, lambda: _check_columns(file, opened)])
+        result = _described(path, manifest)
+        recording = load_recording(manifest, settings.trips.rate_hz)
+        return _inspected(result, recording, settings, picture)
+    except TripError as error:
+        return _with_problems(result, error.problems)
+    except Exception as error:  # one faulty trip must not hide the faults of others
+        log.debug("trip %s failed", path, exc_info=True)
+        return _with_problems(result, [f"{type(error).__name__}: {' '.join(str(error).split())}"])
+
+
+def _check_columns(file: ManifestFile, opened: Opened) -> None:
+    """Raise TripError if a column of the manifest cannot be opened, whatever else is wrong.
+
+    Only the first block is read. A missing file is reported by the check of the manifest.
+    """
+    problems: dict[str, None] = {}
+    for source in file.sources.values():
+        data = file.path.parent / source["file"]
+        time, column = source.get("time"), source.get("column")
+        named = all(name is None or isinstance(name, str) for name in (time, column))
+        if not named or source.get("csv") is not None or not os.path.isfile(data):
+            continue  # how a CSV file is written is known only when the manifest is parsed
+        key = (data, time, column)
+        if key not in opened:
+            try:
+                next(iter(open_columns(data, [column] if time is None else [time, column])), None)
+                opened[key] = ()
+            except TripError as error:
+                opened[key] = error.problems
+        problems |= dict.fromkeys(opened[key])
+    if problems:
+        raise TripError(*problems)
+
+
+def _printable(words: str) -> str:
+    return "".join(letter if letter.isprintable() else "?" for letter in words)
+
+
+def _with_problems(result: TripCheck, problems: Iterable[str]) -> TripCheck:
+    shown = tuple(without(result.manifest, with_values(one, _printable)) for one in problems)
+    return replace(result, state=PROBLEM, problems=shown)
+
+
+def _with_remarks(result: TripCheck, *remarks: str, **changes: Any) -> TripCheck:
+    return replace(result, remarks=(*result.remarks, *filter(None, remarks)), **changes)
+
+
+def _described(path: Path, manifest: TripManifest) -> TripCheck:
+    pairs = [name for name in CHANNELS if manifest.is_pair(name)]
+    single = Finding("pairs", pairs=together(pairs, ", ")) if pairs else "single sensors"
+    others = [name for name in manifest.sensors() if not channel_of(name)]
+    return TripCheck(
+        path,
+        vehicle=manifest.vehicle,
+        place=manifest.place,
+        mileage_km=manifest.mileage_km,
+        sensors=together(
+            ("pairs" if len(pairs) == len(CHANNELS) else single, together(others, ", "))
+        ),
+        sources=tuple(
+            f"{manifest.file_of(one).resolve()}: {one.column or ''}"
+            for one in manifest.sensors().values()
+        ),
+    )
+
+
+def _inspected(
+    result: TripCheck, recording: Recording, settings: CheckSettings, picture: str
+) -> TripCheck:
+    """Return a check with the content of the recording; draw it if asked."""
+    vehicle, estimate, remark = _vehicle(recording.manifest, settings.vehicles)
+    assert estimate.low_hz is not None
+    assert estimate.high_hz is not None
+    unknown = 100 * float(np.isnan(recording.speed_m_per_s).mean())
+    result = _with_remarks(
+        result,
+        recording.words,
+        *map(str, recording.faults),
+        remark,
+        Finding("speed-partly-unknown", unknown=unknown) if unknown else "",
+        Finding("single-in-middle") if recording.manifest.unplaced else "",
+        duration_s=recording.duration_s,
+        usable_percent=100 * float(recording.usable.mean()),
+        band_hz=(estimate.low_hz, estimate.high_hz),
+        unchecked=vehicle is None and not settings.models,
+    )
+    # without a channel there is no mean of both sides, but perhaps each part
+    if recording.absent:
+        result = _with_remarks(result, no_channel(recording), state=TOO_LITTLE)
+        if settings.models:
+            return _read(result, recording, settings)
+        return result if vehicle is None else _of_parts(result, recording, vehicle, settings.trips)
+    segments = recording_segments(recording, estimate.welch)
+    at_any_speed = vehicle is not None and best_generator(vehicle).speed_m_per_s is None
+    result, checked = _at_steady_speeds(
+        result, recording, segments, estimate, settings.trips, at_any_speed
+    )
+    if settings.models:
+        result = _read(result, recording, settings)
+    looked_at = checked[0]
+    spectra = segments.average(looked_at) if bool(looked_at.any()) else None
+    if settings.pictures is not None and picture:
+        figure = trip_figure(recording, segments.frequencies_hz, spectra, result.band_hz)
+        title = f"{result.manifest.stem}: {result.words}"
+        write_picture(settings.pictures / picture, figure, title)
+        result = replace(result, picture=picture)
+    # channels can be tested for a swap only against a known vehicle
+    if vehicle is None or spectra is None or result.state == PROBLEM:
+        return result
+    try:
+        doubts, shows_parts, frame_sensor = check_sensors(
+            recording, segments, checked, vehicle, estimate, settings.trips
+        )
+    except TripError as error:
+        return _with_problems(result, error.problems)
+    return _with_remarks(result, *doubts, shows_parts=shows_parts, frame_sensor=frame_sensor)
+
+
+def _vehicle(
+    manifest: TripManifest, vehicles: Mapping[str, Vehicle]
+) -> tuple[Vehicle | None, EstimateSettings, str]:
+    """Return a trip's vehicle if its numbers are known, its settings, and a remark if not."""
+    plain = EstimateSettings()
+    vehicle = vehicles.get(manifest.vehicle)
+    if vehicle is None:
+        remark = Finding(
+            "vehicle-unknown",
+            need_a_vehicle=NEED_A_VEHICLE,
+            vehicle=repr(manifest.vehicle),
+            vehicles=sorted(vehicles),
+        )
+    else:
+        try:
+            return vehicle, plain.bound(vehicle), ""
+        except ValueError as error:
+            remark = Finding("vehicle-reason", name=repr(manifest.vehicle), words=str(error))
+    low_hz, high_hz = UNKNOWN_BAND_HZ
+    return None, replace(plain, low_hz=low_hz, high_hz=high_hz), remark
+
+
+def _read(result: TripCheck, recording: Recording, settings: CheckSettings) -> TripCheck:
+    """Return a check that is ready if the models estimate the recording."""
+    manifest = recording.manifest
+    try:
+        models = models_of(settings.models, manifest.place)
+        words = readable_words(models_at(models, manifest.mileage_km))
+    except ValueError as error:
+        return _with_problems(result, [str(error)])
+    outcome = evaluate_recording(manifest, lambda: recording, models, settings.trips)
+    if outcome.status == ERROR:
+        return _with_problems(replace(result, read_by=words), [outcome.reason])
+    state = READY if outcome.status == OK else TOO_LITTLE
+    return _with_remarks(result, outcome.reason, read_by=words, state=state)
+
+
+def _at_steady_speeds(
+    result: TripCheck,
+    recording: Recording,
+    segments: SegmentSpectra,
+    estimate: EstimateSettings,
+    settings: TripSettings,
+    at_any_speed: bool,
+) -> tuple[TripCheck, list[Tensor]]:
+    """Return a check with a recording's steady speeds, and their segments, the longest first.
+
+    Without steady speeds these are all segments, or the longest group.
+    """
+    n_segments = len(segments.values)
+    every = torch.ones(n_segments, dtype=torch.bool)
+    if not n_segments:
+        nothing = Finding("no-faultless-stretch", segment_s=estimate.segment_s)
+        return _with_remarks(result, nothing, state=TOO_LITTLE), [every]
+    speeds = segment_speeds(recording, segments)
+    tolerance, least = settings.speed_tolerance, settings.min_speed_m_per_s
+    groups = groups_to_read(speeds, tolerance, least, at_any_speed=at_any_speed)
+    seen = [
+        one
+        for one in steady(segments, speeds, groups, estimate, settings)
+        if one.spectra is not None
+    ]
+    enough = [one for one in seen if one.has_enough]
+    certain = [one for one in enough if one.is_certain]
+    # the reason why there is too little, or which of the speeds are not certain enough
+    remark = together(_too_uncertain(one, settings) for one in enough if not one.is_certain)
+    result = _with_remarks(
+        result,
+        remark if enough else _too_little(seen, segments.welch, settings),
+        state=READY if certain else TOO_LITTLE,
+        parts=tuple(map(_part, certain)),
+        steady_percent=100 * sum(int(one.chosen.sum()) for one in certain) / n_segments,
+    )
+    return result, [one.chosen for one in certain or seen[:1]] or [every]
+
+
+def _part(one: Steady) -> SteadyPart:
+    """Return the quality of a group of segments; G_s counts as far as an estimate uses it."""
+    return SteadyPart(
+        speed_m_per_s=one.speed[0],
+        n_averages=one.n_averages,
+        coherence_p=one.coherences[0],
+        coherence_s=one.coherences[1],
+        deviation_percent=100 * one.deviation,
+    )
+
+
+def _too_little(groups: Sequence[Steady], welch: Welch, settings: TripSettings) -> str:
+    most = max(groups, key=lambda one: one.n_averages, default=None)
+    n_segments = int(most.chosen.sum()) if most else 0
+    return Finding(
+        "too-little-at" if most else "too-little-steady",
+        m_per_s=most.speed[0] if most else None,
+        minutes=minutes_words(welch, n_segments, settings.min_averages),
+        tolerance=100 * settings.speed_tolerance,
+        least=settings.min_speed_m_per_s,
+    )
+
+
+def _too_uncertain(one: Steady, settings: TripSettings) -> str:
+    return Finding(
+        "responses-uncertain-at",
+        speed_m_per_s=one.speed[0],
+        deviation_percent=100 * one.deviation,
+        max_deviation=100 * settings.max_deviation,
+    )
+
+
+def _of_parts(
+    result: TripCheck, recording: Recording, vehicle: Vehicle, settings: TripSettings
+) -> TripCheck:
+    """Return the check of a recording whose sensors can show nothing but each part."""
+    way = recording.manifest.direction
+    if way is None and show_parts(sensor_places(recording.manifest, "axle")):
+        return _with_remarks(result, NO_DIRECTION)
+    try:
+        trip = check_bogie(recording, vehicle, settings, [way] if way else [])
+    except TripError as error:
+        return _with_problems(result, error.problems)
+    except NoEstimateError as reason:
+        return _with_remarks(result, str(reason))
+    if trip is None:
+        return result
+    unknown = [float("nan")] * 3
+    part = SteadyPart(trip.speed_m_per_s, trip.spectra.n_averages, *unknown)
+    return replace(result, state=READY, parts=(part,), shows_parts=True)

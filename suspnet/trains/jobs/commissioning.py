@@ -1,0 +1,160 @@
+"""Commission the vehicle that a folder of healthy trips shows."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from suspnet.curves.estimates import EstimateSettings
+from suspnet.estimation.commissioned_bogie import CommissionedBogie
+from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.tensors import threads
+from suspnet.trains.fits.bogie_fit import EXPLAINED, commission_bogie
+from suspnet.trains.fits.commissioning import Commissioned, as_bogie, commission
+from suspnet.trains.identification import commissioning_summary as words
+from suspnet.trains.identification.healthy_trips import HealthyTrips, read_healthy
+from suspnet.trains.recordings.errors import all_of
+from suspnet.trains.recordings.manifest import CHANNELS
+from suspnet.trains.sensors.lone_sensors import SIDE_M
+from suspnet.trains.sensors.swapped_sensors import NEARLY, check_bogie, check_order
+from suspnet.vehicle import ResponseGenerator, VerticalVehicle
+from suspnet.vehicle.quantities import PARTS, LogNormal
+
+log = logging.getLogger(__name__)
+FAMILY = tuple(part for part in PARTS if part not in ("air_spring", "yaw_dampers"))
+"""Parts of the vehicle that is commissioned if the configuration names none."""
+
+
+def commission_trips(
+    healthy: HealthyTrips,
+    generator: ResponseGenerator,
+    settings: EstimateSettings,
+    *,
+    bogie: CommissionedBogie | None = None,
+    progress: bool = False,
+) -> Commissioned:
+    """Return the vehicle that healthy trips show, both sides and axles as equal.
+
+    `generator` is the nominal vehicle; without parts it gets all but the air spring, without a
+    distribution the prior of its parts. If each part is read, this vehicle is only for trips that
+    do not show their parts, and is near the `bogie` if that explains the trips; it is that of the
+    bogie if the trips have no spectra for it. ValueError if the generator cannot be commissioned.
+    """
+    generator = check_generator(generator)
+    settings = settings.bound(generator.vehicle)
+    for reason in healthy.left_out:
+        log.warning("left out of the healthy trips: %s", reason)
+    if bogie is None:
+        _log_doubts(healthy)
+    near = bogie if bogie is not None and bogie.misfit <= EXPLAINED else None
+    prior = _prior(generator, healthy)
+    if bogie is not None and not healthy.groups:
+        outcome = as_bogie(prior, settings, bogie)
+    else:
+        outcome = commission(prior, settings, healthy.groups, near=near, progress=progress)
+    if bogie is not None:
+        log.info("%s", words.as_equal(outcome))
+        return outcome
+    log.info("%s %s", words.verdict(healthy, outcome), words.agreement(outcome))
+    for doubt in [*words.doubts(outcome), words.mass_doubt(outcome.masses)]:
+        if doubt:
+            log.warning("%s", doubt)
+    if not words.is_explained(outcome) and not any(generator.sensor_lateral_m):
+        if hint := words.unplaced(healthy):
+            log.warning("%s", hint)
+    if hint := words.other_minutes(healthy, settings):
+        log.info("%s", hint)
+    return outcome
+
+
+def commission_folder(
+    folder: Path,
+    generator: ResponseGenerator,
+    settings: EstimateSettings,
+    trips: TripSettings,
+    *,
+    n_first: int | None = None,
+    progress: bool = False,
+) -> tuple[HealthyTrips, Commissioned]:
+    """Return the healthy trips of a folder and the vehicle that they show.
+
+    It takes and raises what `read_healthy` and `commission_trips` do.
+    """
+    own = check_generator(generator)
+    bound = settings.bound(own.vehicle)
+    healthy = read_healthy(folder, own, bound, trips, n_first=n_first, progress=progress)
+    return healthy, commission_trips(healthy, generator, settings, progress=progress)
+
+
+# one thread: systems of 30 equations are too small for two, and results are the same anywhere
+@threads(1)
+def commission_parts(healthy: HealthyTrips, trips: TripSettings) -> CommissionedBogie:
+    """Return the bogie that healthy trips show, part by part.
+
+    `healthy` has been read for its parts. TripError if sensors look swapped, or the trips show the
+    other bogie.
+    """
+    vehicle = healthy.vehicle
+    assert vehicle is not None
+    folder = healthy.manifests[0].path.parent
+    _log_doubts(healthy)
+
+    def check_orders(nearly: float) -> None:
+        all_of(
+            partial(check_order, vehicle, trip, str(manifest.path), nearly=nearly)
+            for trip, manifest in zip(healthy.of_parts, healthy.manifests, strict=True)
+        )
+
+    if trips.check_channels:
+        check_orders(1.0)
+    bogie = commission_bogie(vehicle, healthy.of_parts)
+    if trips.check_channels and bogie.misfit > EXPLAINED:
+        check_orders(NEARLY)
+        check_bogie(vehicle, healthy.of_parts, bogie.misfit, str(folder))
+    log.info("%s", words.of_parts(bogie))
+    for doubt in words.doubts_of_parts(bogie):
+        log.warning("%s", doubt)
+    return bogie
+
+
+def _log_doubts(healthy: HealthyTrips) -> None:
+    """Log doubts about the sensors before the search, which takes minutes."""
+    for doubt in healthy.doubts:
+        log.warning("%s", doubt)
+
+
+def check_generator(generator: ResponseGenerator) -> VerticalVehicle:
+    """Return a generator that can be commissioned; ValueError if it cannot."""
+    if not isinstance(generator, VerticalVehicle):
+        raise ValueError(
+            f"vehicle {generator.vehicle.name!r} cannot be commissioned as a "
+            f"{type(generator).__name__}: give its geometry, and generator=family"
+        )
+    return generator
+
+
+def _prior(generator: VerticalVehicle, healthy: HealthyTrips) -> VerticalVehicle:
+    """Return the generator with parts, sensor positions and a prior to start from."""
+    lateral_m = _lateral_m(generator.sensor_lateral_m, healthy)
+    parts = generator.parts or FAMILY
+    if not any(lateral_m):  # sensors in the middle do not see roll
+        parts = tuple(part for part in parts if part != "roll")
+    placed = replace(generator, parts=parts, sensor_lateral_m=lateral_m)
+    if placed.distribution is None:
+        placed = replace(placed, distribution=LogNormal.prior(parts))
+    return placed
+
+
+def _lateral_m(stated_m: Sequence[float], healthy: HealthyTrips) -> tuple[float, float, float]:
+    """Return each channel's lateral position: 0 for a pair, else as given, else by its side."""
+    manifest = healthy.manifests[0]
+    sensors = manifest.sensors()
+    sides = {name: manifest.side_of(sensor) for name, sensor in sensors.items()}
+    box, frame, body = (
+        0.0 if is_pair else lateral_m or SIDE_M.get(sides.get(name) or "", 0.0)
+        for lateral_m, is_pair, name in zip(stated_m, healthy.paired, CHANNELS, strict=True)
+    )
+    return box, frame, body

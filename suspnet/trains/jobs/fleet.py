@@ -1,0 +1,400 @@
+"""All trips of a folder: evaluated in parallel, one report for each suspension."""
+
+from __future__ import annotations
+
+import functools
+import logging
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from suspnet.estimation.from_spectra import trip_settings
+from suspnet.estimation.trained import TrainedModel
+from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.extras import check_extra
+from suspnet.ground.findings import at, of, together
+from suspnet.ground.parameters import ESTIMATED, TIGHTEST, Limits, read_limits
+from suspnet.ground.progress import bar as progress_bar
+from suspnet.ground.progress import stage
+from suspnet.ground.records import ERROR, Commissioning, TripResult, by_mileage, outputs_of
+from suspnet.ground.settings import check_settings, setting
+from suspnet.ground.storage import printable
+from suspnet.ground.workers import ITEMS_A_WORKER, USUAL_WORKERS, LostWorkerError, each, workers_for
+from suspnet.runs.language import N_
+from suspnet.trains.history import History
+from suspnet.trains.maintenance.alarms import OWN_CAUSES, Acknowledgement, detector_words
+from suspnet.trains.maintenance.assessment import spoken
+from suspnet.trains.maintenance.change import ChangeSettings
+from suspnet.trains.maintenance.fleet import FleetStates
+from suspnet.trains.maintenance.relative import between, relative_results
+from suspnet.trains.maintenance.series import Event, Series, series_of
+from suspnet.trains.maintenance.sisters import SisterSettings
+from suspnet.trains.maintenance.trend import LEAST_PERCENT
+from suspnet.trains.pages.details import missing_reference, report_details, wear_words
+from suspnet.trains.pages.output import (
+    sensor_lines,
+    summary,
+    write_overview,
+    write_pages,
+    write_tables,
+)
+from suspnet.trains.pages.overview import Evaluated
+from suspnet.trains.pages.report import Report
+from suspnet.trains.recordings.manifest_files import ManifestFile, partial_words
+from suspnet.trains.trips.commissionings import (
+    check_one_reference,
+    commissionings,
+    eras,
+    models_of,
+    with_truth_of_each,
+)
+from suspnet.trains.trips.earlier import FinishedTrips, with_earlier
+from suspnet.trains.trips.grouping import Group, find_groups
+from suspnet.trains.trips.trip import evaluate_trip, lost_trip
+
+log = logging.getLogger(__name__)
+RESOLVED = 2.0
+"""A change must exceed this multiple of the model's rms error on its test curves."""
+SISTERS = SisterSettings()
+"""Settings of the comparison of the suspensions of a car."""
+OVERRIDDEN = "set for this evaluation"
+"""Reason for limits that a setting overrides without giving one."""
+
+
+@dataclass(frozen=True)
+class FleetSettings:
+    """How a folder of trips is evaluated.
+
+    `limits` override the vehicle's: from a parameter to its `notice` and `act`, each [lower, upper]
+    relative to healthy, and `why`. A missing or None entry leaves the vehicle's value; a parameter
+    that is None raises no alarm. ValueError is raised if dask is selected and not installed.
+    """
+
+    trips: TripSettings
+    reference: Literal["vehicle", "first_trips"] = setting(
+        "vehicle",
+        "Reference for healthy: the vehicle's parameters, or the estimates of its first trips",
+    )
+    n_reference: int = setting(
+        5, "Number of first trips, for reference=first_trips", low=1, most=1024
+    )
+    workers: int | None = setting(
+        1,
+        "Number of processes on this machine that read trips; null is 1 for up to "
+        f"{ITEMS_A_WORKER} trips, else {USUAL_WORKERS}",
+        low=1,
+        most=1024,
+    )
+    cluster: str | None = setting(
+        None,
+        "Address of a dask scheduler that reads trips instead, tcp://host:8786, or local; null "
+        "is none",
+        rule="text",
+    )
+    limits: Mapping[str, Any] | None = None
+    changes: ChangeSettings = field(default_factory=ChangeSettings)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        # check these limits, whatever the vehicle's are
+        read_limits(self.limits or {}, dict.fromkeys(ESTIMATED, TIGHTEST))
+        if self.cluster is not None:
+            check_extra("cluster", "distributed")
+
+    @property
+    def n_first(self) -> int | None:
+        """Number of first trips that define healthy; None: the models do."""
+        return self.n_reference if self.reference == "first_trips" else None
+
+    def limits_of(self, models: Sequence[TrainedModel]) -> dict[str, Limits]:
+        """Return the limits of each parameter that has any: overridden, or the vehicle's.
+
+        Of models of several commissionings the last one's vehicle counts. ValueError is raised if
+        the limits are inconsistent.
+        """
+        vehicle = eras(models)[-1][0].vehicle
+        return read_limits(self.limits or {}, vehicle.known_limits, OVERRIDDEN)
+
+
+def evaluate_fleet(
+    folder: Path,
+    models: Sequence[TrainedModel],
+    output: Path,
+    settings: FleetSettings,
+    progress: bool = True,
+    store: History | None = None,
+    seed: int = 0,
+    figures: bool = True,
+) -> list[Evaluated]:
+    """Evaluate every trip of a folder; write tables, figures and a report for each suspension.
+
+    If the folder holds the trips of one suspension, its files are written to `output`. If it holds
+    those of several, or subfolders with trips, each suspension has a subfolder of `output`, and
+    overview.html, .csv and .parquet there list the suspensions, the worst first. A suspension that
+    cannot be read is named in the log and in the overview.
+
+    `models` has one for each speed bin, and for each bogie that the manifests name, or those
+    commissioned on each suspension. `store` saves the trips, and adds those of earlier folders to
+    tables, trend and report. `seed` is that of the remaining lives. The most severe suspension is
+    returned first.
+
+    FileNotFoundError is raised if the folder holds no manifest, ModelFileError if a model cannot
+    read trips, ValueError if no suspension could be read or the limits are inconsistent.
+    """
+    settings.limits_of(models)  # raises before any trip is read
+    groups = find_groups(folder)
+    is_alone = len(groups) == 1 and groups[0].folder == folder
+    if not is_alone:
+        for model in models:
+            trip_settings(model)
+        _warn_if_partial(folder)
+    done: list[Evaluated] = []
+    suspensions = []
+    for group in groups:
+        with _reported(group, done, is_alone):
+            if group.error:
+                raise ValueError(group.error)
+            where = output if is_alone else output / group.name
+            suspensions.append(_suspension(group, models, where, settings))
+    read = []
+    for suspension in _evaluated(suspensions, settings, progress):
+        with _reported(suspension.group, done, is_alone):
+            read.append(_with_history(suspension, settings, store))
+    read.sort(key=lambda one: groups.index(one.suspension.group))
+    # all suspensions are read before the first report: its lives use their rates of wear
+    limits = {one.suspension.vehicle: one.suspension.limits for one in read}
+    fleet = FleetStates(limits, settings.changes, SISTERS, seed)
+    if store is not None:
+        earlier = (series for series in store.series() if series.vehicle in fleet.limits)
+        fleet.add(series.relative_to_first(settings.n_first) for series in earlier)
+    fleet.add(one.series for one in read)
+    for one in read:
+        with _reported(one.suspension.group, done, is_alone):
+            done.append(_report(one, fleet, settings, store, figures))
+    if is_alone:
+        return done
+    if all(one.error for one in done):
+        reasons = together(of(one.name, one.error) for one in done)
+        raise ValueError(at(folder, "no-suspension-read", n_done=len(done), reasons=reasons))
+    done.sort(key=lambda one: (-one.severity, one.name))
+    log.info("%s\n-> %s", write_overview(done, models[0].task.outputs, output), output)
+    return done
+
+
+def _warn_if_partial(folder: Path) -> str:
+    """Log if an interrupted simulation wrote the folder, and return what it wrote as text."""
+    if partial := partial_words(folder):
+        log.warning("%s is %s; the same simulation again writes the others", folder, partial)
+    return partial
+
+
+@contextmanager
+def _reported(group: Group, done: list[Evaluated], is_alone: bool) -> Iterator[None]:
+    """Record a suspension that cannot be read and log why; raise if it is the only one."""
+    try:
+        yield
+    except (ValueError, ArithmeticError) as error:
+        if is_alone:
+            raise
+        done.append(Evaluated(group.name, group.place, error=str(error)))
+        log.warning("%s is not read: %s", group.name, error)
+
+
+@dataclass(frozen=True, eq=False)
+class _Suspension:
+    """A suspension with its models and its output folder.
+
+    `results` are those of trips that are read, `waiting` the others with what they are made from.
+    """
+
+    group: Group
+    models: Sequence[TrainedModel]
+    output: Path
+    limits: Mapping[str, Limits]
+    finished: FinishedTrips
+    results: list[TripResult] = field(default_factory=list)
+    waiting: dict[ManifestFile, Any] = field(default_factory=dict)
+
+    @property
+    def vehicle(self) -> str:
+        return self.models[0].vehicle.name
+
+
+@dataclass(frozen=True, eq=False)
+class _Trips:
+    """All trips of a suspension, those of the store among them, as `results` and as `series`."""
+
+    suspension: _Suspension
+    results: list[TripResult]
+    commissionings: list[Commissioning]
+    series: Series
+
+
+def _suspension(
+    group: Group, models: Sequence[TrainedModel], output: Path, settings: FleetSettings
+) -> _Suspension:
+    """Return a suspension with the results of those of its trips that need not be read again."""
+    fitting = models_of(models, group.place)
+    limits = settings.limits_of(fitting)
+    if settings.reference == "first_trips":
+        check_one_reference(fitting)
+    finished = FinishedTrips(output, fitting, settings.trips)
+    suspension = _Suspension(group, fitting, output, limits, finished)
+    for file in [one.absolute() for one in group.manifests]:
+        try:
+            made_from = finished.made_from(file)
+            result = finished.read(made_from)
+        except Exception:  # `evaluate_trip` then reports the fault, without a worker
+            suspension.results.append(evaluate_trip(file, fitting, settings.trips))
+        else:
+            if result is None:
+                suspension.waiting[file] = made_from
+            else:
+                suspension.results.append(result)
+    return suspension
+
+
+def _with_history(
+    suspension: _Suspension, settings: FleetSettings, store: History | None
+) -> _Trips:
+    """Store the trips of a suspension that are all read, and return them with earlier ones."""
+    place, models, vehicle = suspension.group.place, suspension.models, suspension.vehicle
+    results = [replace(result, place=place) for result in suspension.results]
+    events: list[Event] = []
+    if store is not None:
+        results = with_earlier(results, place, models, store)
+        events = store.events(vehicle, place)
+    results = by_mileage(results)
+    series = replace(series_of(results, events), vehicle=vehicle)
+    results = relative_results(results, events, settings.n_first)
+    used = commissionings(models, results)
+    results = with_truth_of_each(results, used)
+    return _Trips(suspension, results, used, series.relative_to_first(settings.n_first))
+
+
+def _report(
+    trips: _Trips, fleet: FleetStates, settings: FleetSettings, store: History | None, figures: bool
+) -> Evaluated:
+    """Write tables, figures and the report of a suspension; return its state for the overview."""
+    suspension, results = trips.suspension, trips.results
+    group, models, output = suspension.group, suspension.models, suspension.output
+    stage(f"trend and report of {group.place}")
+    outputs, level = outputs_of(results), settings.trips.level
+    # tables come first: what follows may fail on odd numbers
+    write_tables(results, outputs, output)
+    since_maintenance = between(trips.series.events, results)[-1]
+    if missing := missing_reference(since_maintenance, settings.n_first):
+        log.warning("%s: %s", group.folder, missing)
+    state = replace(fleet.state_of(trips.series), least_percent=least_percent(outputs, models))
+    seen: list[Acknowledgement] = []
+    if store is not None and any(r.status != ERROR for r in results):
+        own = [alarm for alarm in state.watched.alarms if alarm.cause in OWN_CAUSES]
+        store.keep_alarms(suspension.vehicle, group.place, own, OWN_CAUSES)
+        seen = store.acknowledgements(suspension.vehicle, group.place)
+    armed = detector_words(state.watched.changes, settings.changes)
+    n_learnt = fleet.n_learnt(suspension.vehicle)
+    details = report_details(
+        group.folder, models, results, suspension.limits, level, settings.n_first
+    ) | {
+        N_("remaining lives"): wear_words(n_learnt, store is not None),
+        N_("alarms of changes"): armed,
+    }
+    if partial := _warn_if_partial(group.folder):
+        details["trips"] = f"{details['trips']} ({partial})"
+    if store is not None:
+        details[N_("history")] = printable(str(store))
+    report = Report(results, outputs, state, details, level, trips.commissionings, seen)
+    write_pages(report, output, draw=figures)
+    lines = [spoken(state.assessments), *sensor_lines(results, state.watched.alarms)]
+    words = "\n".join([*lines, f"Alarms of changes: {armed}."])
+    log.info("%s\n%s: %s\n-> %s", summary(results, outputs), group.place, words, output)
+    return Evaluated(group.name, group.place, results, state)
+
+
+def _evaluated(
+    suspensions: Sequence[_Suspension], settings: FleetSettings, progress: bool
+) -> Iterator[_Suspension]:
+    """Read the trips of all suspensions, and yield each suspension once its trips are read.
+
+    One pool of workers reads all: started for each suspension, it would start over and over, and
+    wait for the last trip of each.
+    """
+    owners = {file: one for one in suspensions for file in one.waiting}
+    n_finished = sum(len(one.results) for one in suspensions)
+    n_places = len(suspensions)
+    where = f"{suspensions[0].group.place}" if n_places == 1 else f"{n_places} suspensions"
+    n_trips = n_finished + len(owners)
+    bar = progress_bar(f"trips of {where}", n_trips, unit="trip", shown=progress)
+    with bar, warnings.catch_warnings():
+        # a worker whose memory has grown is replaced; no trip is lost
+        warnings.filterwarnings("ignore", "A worker stopped while", UserWarning)
+        bar.update(n_finished)
+        if n_finished and owners:
+            words = "%d trips are finished already, %d are to be read"
+            log.info(words, n_finished, len(owners))
+        yield from (one for one in suspensions if not one.waiting)
+        items = [(file, one.models) for file, one in owners.items()]
+        for (file, _), result in _read_by_workers(items, settings):
+            suspension = owners[file]
+            made_from = suspension.waiting.pop(file)
+            if isinstance(result, LostWorkerError):
+                suspension.results.append(lost_trip(file.path, str(result)))
+            else:
+                suspension.results.append(result)
+                suspension.finished.write(made_from, result)
+            bar.update()
+            if not suspension.waiting:
+                yield suspension
+
+
+_Item = tuple[ManifestFile, Sequence[TrainedModel]]
+
+
+def _read_trip(item: _Item, settings: TripSettings) -> TripResult:
+    return evaluate_trip(*item, settings)
+
+
+def _identity(value: Any) -> Any:
+    return value
+
+
+def _read_by_workers(
+    items: Sequence[_Item], settings: FleetSettings
+) -> Iterator[tuple[_Item, TripResult | LostWorkerError]]:
+    """Yield trips with their results as they are read, in local processes or on a dask cluster."""
+    n_workers = workers_for(len(items), settings.workers)
+    if settings.cluster is None:
+        yield from each(functools.partial(_read_trip, settings=settings.trips), items, n_workers)
+        return
+    import distributed
+
+    address = None if settings.cluster == "local" else settings.cluster
+    options = {} if address else {"n_workers": n_workers, "dashboard_address": None}
+    with distributed.Client(address, **options) as client:
+        # models are larger than anything else: sent once, and to a worker by another one; a task,
+        # unlike scattered data, is computed again where the only worker that holds it is killed
+        distinct = {id(model): model for _, models in items for model in models}
+        sent = {key: client.submit(_identity, one, pure=False) for key, one in distinct.items()}
+        trips = {}
+        for item in items:
+            models = [sent[id(model)] for model in item[1]]
+            arguments = (evaluate_trip, item[0], models, settings.trips)
+            trips[client.submit(*arguments, pure=False, retries=1)] = item
+        for future in distributed.as_completed(trips):
+            try:
+                yield trips[future], future.result()
+            except distributed.KilledWorker as error:
+                yield trips[future], LostWorkerError(str(error))
+            future.release()  # the workers hold its result until then
+
+
+def least_percent(outputs: Sequence[str], models: Sequence[TrainedModel]) -> dict[str, float]:
+    """Return the smallest change of each parameter that the models can resolve, [%]."""
+    rms = {
+        name: max(m.training.get("test_rms_percent", {}).get(name, 0.0) for m in models)
+        for name in outputs
+    }
+    return {name: max(LEAST_PERCENT, RESOLVED * error) for name, error in rms.items()}

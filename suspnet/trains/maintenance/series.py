@@ -1,0 +1,347 @@
+"""Trips of a suspension as arrays, with its maintenance events."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from suspnet.ground.findings import Finding, stored
+from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, ESTIMATED, PARAMETERS
+from suspnet.ground.records import (
+    EVENT_KINDS,
+    SENSOR,
+    Key,
+    Place,
+    TripResult,
+    sensors_from_text,
+    utc,
+)
+from suspnet.ground.types import BoolArray, FloatArray, IntArray
+from suspnet.trains.maintenance.directions import SIGNS, widened
+from suspnet.trains.maintenance.sensors import LEAST, SensorTrend, sensor_trends
+
+NUMBERS = ("mileage_km", "healthy_since_km", "speed_m_per_s", "temperature_c", "direction")
+"""Numeric columns of a series, in addition to those of each parameter."""
+TEXTS = ("trip", "sensors", "worn")
+N_LAST = 5
+"""Number of the newest trips with an estimate that decide on a parameter."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """Maintenance of a suspension: later trips are judged without earlier ones.
+
+    After that of the kind ``SENSOR`` only the sensors are, those that `words` names. Trips of at
+    least `mileage_km` are after it. `kind` is one of ``EVENT_KINDS``; `words` say what.
+    """
+
+    mileage_km: float
+    kind: str = "other"
+    words: str = ""
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.mileage_km):
+            raise ValueError(f"an event needs a mileage in km, got {self.mileage_km}")
+        if self.kind not in EVENT_KINDS:
+            raise ValueError(f"an event is one of {', '.join(EVENT_KINDS)}, got {self.kind!r}")
+
+    def __str__(self) -> str:
+        return Finding("event", words=self.words or self.kind, km=self.mileage_km)
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """Trips of one suspension, by mileage, as arrays of shape (n_trips,); NaN: unknown.
+
+    `trip` are their names, `start` is in UTC if the manifest gives a zone, else as given there
+    (NaT: unknown), `temperature_c` that of the outside air, `direction` one of ``SIGNS``.
+    `estimates` and `half_widths` are as in ``TripResult``, of each parameter and of each part that
+    any trip has. `sensors` is the health of the sensors as in ``Quality``, `worn` the worn parts as
+    in ``TripResult``; empty: unknown. `events` are sorted by mileage. `n_first` is the number of
+    first trips whose median is healthy; None: the model defines it.
+    """
+
+    vehicle: str
+    place: Place
+    trip: NDArray[np.str_]
+    start: NDArray[np.datetime64]
+    flagged: BoolArray
+    mileage_km: FloatArray
+    healthy_since_km: FloatArray
+    speed_m_per_s: FloatArray
+    temperature_c: FloatArray
+    direction: FloatArray
+    estimates: dict[str, FloatArray]
+    half_widths: dict[str, FloatArray]
+    sensors: NDArray[np.str_]
+    worn: NDArray[np.object_]
+    events: tuple[Event, ...] = ()
+    n_first: int | None = None
+
+    @property
+    def key(self) -> Key:
+        """Vehicle and place."""
+        return self.vehicle, self.place
+
+    @property
+    def repairs(self) -> list[float]:
+        """Mileages of the maintenance that gives parameters a new reference, [km]."""
+        return [event.mileage_km for event in self.events if event.kind != SENSOR]
+
+    @cached_property
+    def sensor_trends(self) -> list[SensorTrend]:
+        """Each sensor along the trips with a mileage, which ``select`` drops."""
+        replaced = [(e.mileage_km, e.words) for e in self.events if e.kind == SENSOR]
+        return sensor_trends(self.sensors.tolist(), self.mileage_km, replaced)
+
+    @cached_property
+    def misled(self) -> BoolArray:
+        """Mask of the trips whose estimates are wrong by a sensor's sensitivity or delay.
+
+        The ``doubted`` trip is one of them.
+        """
+        wrong = [trend.misleads for trend in self.sensor_trends]
+        return np.asarray(np.logical_or.reduce([self.doubted, *wrong]))
+
+    @cached_property
+    def doubted(self) -> BoolArray:
+        """Mask of the newest trip if its sensors are the likelier reason of what it shows.
+
+        It is flagged, one of its sensors is dead, loose or faulty, and it does not show the parts
+        that the trip before shows: a damaged suspension shows itself on the next trip, too.
+        """
+        mask = np.zeros(len(self.trip), dtype=np.bool_)
+        has_parts = np.logical_or.reduce([mask, *self._of_parts])
+        *_, before, newest = [-1, -1, *np.flatnonzero(self.done)]
+        if self.done.any() and has_parts[before] and not self.flagged[before]:
+            sensors = sensors_from_text(self.sensors[newest]).values()
+            is_faulty = any(health.faulty > LEAST["faulty"] for health in sensors)
+            mask[newest] = is_faulty and self.flagged[newest] and not has_parts[newest]
+        return mask
+
+    @property
+    def _of_parts(self) -> list[BoolArray]:
+        """Masks of the trips with an estimate of each part of a bogie."""
+        return [np.isfinite(self.estimates[name]) for name in BOGIE_PARTS if name in self.estimates]
+
+    @property
+    def newest_with_parts(self) -> int | None:
+        """Index of the newest trip with an estimate of any part of a bogie; None without one."""
+        shown = np.flatnonzero(np.any(self._of_parts, axis=0))
+        return int(shown[-1]) if len(shown) else None
+
+    @cached_property
+    def outputs(self) -> tuple[str, ...]:
+        """Parameters with an estimate for any trip; all parameters if there is none.
+
+        Where parts are estimated, those of both sides as equal count only on the newest trips,
+        since the last one that shows its parts without a flag: else these say more.
+        """
+        names = {name for name, column in self.estimates.items() if np.isfinite(column).any()}
+        newest = np.flatnonzero(self.done & ~self.doubted)[-N_LAST:]
+        if names & set(BOGIE_PARTS):
+            shown = np.any(self._of_parts, axis=0)
+            last = np.flatnonzero(shown & ~self.flagged).max(initial=-1)
+            newest = newest[newest > last]
+            for name in PARAMETERS[:-1]:
+                if not np.isfinite(self.estimates[name][newest]).any():
+                    names.discard(name)
+        return tuple(name for name in self.estimates if name in names or not names)
+
+    @property
+    def done(self) -> BoolArray:
+        """Mask of the trips with an estimate."""
+        return np.asarray(np.isfinite(list(self.estimates.values())).any(axis=0))
+
+    @property
+    def of_newest_reference(self) -> BoolArray:
+        """Mask of the trips with the same commissioning as the newest trip with an estimate."""
+        newest = self.healthy_since_km[np.flatnonzero(self.done)[-1:]]
+        is_same = np.isin(self.healthy_since_km, newest)
+        return np.asarray(is_same | (np.isnan(self.healthy_since_km) & np.isnan(newest).any()))
+
+    @property
+    def recent(self) -> BoolArray:
+        """Mask of the trips since the last commissioning and the last maintenance."""
+        since = max(self.repairs, default=-np.inf)
+        return np.asarray(self.of_newest_reference & ~(self.mileage_km < since))
+
+    @property
+    def between(self) -> list[IntArray]:
+        """Indices of the trips before, between and after maintenance; without a mileage: after."""
+        ends = np.searchsorted(self.mileage_km[np.isfinite(self.mileage_km)], self.repairs)
+        return np.split(np.arange(len(self.trip)), ends)
+
+    def first_of_each(self, name: str, n_first: int) -> list[tuple[IntArray, IntArray]]:
+        """Return the trips between maintenances, each with their first ones with an estimate."""
+        done = np.isfinite(self.estimates[name])
+        pairs = ((trips, trips[done[trips]][:n_first]) for trips in self.between)
+        return [(trips, first) for trips, first in pairs if len(first)]
+
+    def relative_to_first(self, n_first: int | None) -> Series:
+        """Return k and c relative to the median of the first trips after each maintenance.
+
+        The interval widens by the uncertainty of the median, whose variance is pi / 2 times that of
+        a mean of `n_first` trips. This is right for noise; systematic errors (of a regression
+        without refinement) cancel only while the vehicle does not change. The car-body mass stays
+        relative to nominal, as it varies by nature. If fewer trips have an estimate, all of these
+        are used; None: to the model, as this series is.
+        """
+        if n_first is None:
+            return self
+        estimates, half_widths = (
+            {name: column.copy() for name, column in columns.items()}
+            for columns in (self.estimates, self.half_widths)
+        )
+        for name in set(estimates) - {BODY_MASS}:
+            for trips, first in self.first_of_each(name, n_first):
+                estimates[name][trips] /= np.median(estimates[name][first])
+                own = half_widths[name]
+                own[trips] = np.hypot(own[trips], half_width_of_median(own[first]))
+        return replace(self, estimates=estimates, half_widths=half_widths, n_first=n_first)
+
+    def widened(self) -> Series:
+        """Return the trips with intervals that hold what both directions of travel show.
+
+        Flagged trips, and those without a mileage or that a sensor misled, show nothing.
+        """
+        if len(set(self.direction[np.isfinite(self.direction)])) < 2:
+            return self
+        states = np.concatenate([np.full(len(trips), i) for i, trips in enumerate(self.between)])
+        unused = ~self.done | self.flagged | self.misled | np.isnan(self.mileage_km)
+        signs = np.where(unused, 0, np.nan_to_num(self.direction)).astype(int)
+        columns = self.healthy_since_km, self.estimates, self.half_widths
+        return replace(self, half_widths=widened(signs, states, *columns))
+
+    def select(self, trips: BoolArray | IntArray) -> Series:
+        """Return the trips of a mask or of indices, as they are to be judged.
+
+        Those that a sensor `misled` have no estimate there; the sensors themselves are dropped.
+        """
+        names = ("trip", "start", "flagged", "worn", *NUMBERS)
+        columns = {name: getattr(self, name)[trips] for name in names}
+        columns["sensors"] = np.full(len(columns["trip"]), "")
+        columns["estimates"], columns["half_widths"] = (
+            {name: np.where(self.misled, np.nan, column)[trips] for name, column in values.items()}
+            for values in (self.estimates, self.half_widths)
+        )
+        return replace(self, **columns)
+
+    def equals(self, other: Series) -> bool:
+        """Return whether all fields are equal, with NaN equal to NaN."""
+        mine, its = self._columns(), other._columns()
+        return (
+            (self.key, self.events, self.n_first) == (other.key, other.events, other.n_first)
+            and mine.keys() == its.keys()
+            and all(getattr(self, name).tolist() == getattr(other, name).tolist() for name in TEXTS)
+            and all(np.array_equal(mine[name], its[name], equal_nan=True) for name in mine)
+        )
+
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        columns = {name: getattr(self, name) for name in ("start", "flagged", *NUMBERS)}
+        widths = {f"{name}_half_width": column for name, column in self.half_widths.items()}
+        return columns | self.estimates | widths
+
+
+def car_of(series: Series) -> tuple[str, ...]:
+    """Return a key that the suspensions of a car share.
+
+    If no car is named, suspensions that differ only in bogie or side are of one car.
+    """
+    place = series.place
+    return series.vehicle, place.train, place.car, "" if place.car else place.suspension
+
+
+def of_same_car(several: Sequence[Series]) -> list[list[Series]]:
+    """Return the suspensions of each car that has several."""
+    cars: dict[tuple[str, ...], list[Series]] = {}
+    for series in several:
+        cars.setdefault(car_of(series), []).append(series)
+    return [sisters for sisters in cars.values() if len(sisters) > 1]
+
+
+def make_series(
+    mileage_km: ArrayLike,
+    estimates: Mapping[str, ArrayLike],
+    half_widths: Mapping[str, ArrayLike] | None = None,
+    flagged: ArrayLike = False,
+    events: Iterable[Event] = (),
+    **others: Any,
+) -> Series:
+    """Return trips of one suspension from arrays of shape (n_trips,), in any order.
+
+    `mileage_km` [km]: NaN if unknown. `estimates` are relative to healthy, `half_widths` those of
+    their intervals in logarithms; NaN or missing: none. `others` are fields of ``Series``: vehicle,
+    place, and arrays that are NaN or empty by default.
+
+    Examples
+    --------
+    >>> make_series([20.0, 10.0], {"k_p": [0.9, 1.0]}).estimates["k_p"]
+    array([1. , 0.9])
+    """
+    km = np.asarray(mileage_km, dtype=float)
+    trip = np.broadcast_to(np.asarray(others.get("trip", ""), dtype=str), len(km))
+    order = np.lexsort((trip, km))  # NaN last
+
+    def column(values: ArrayLike, dtype: Any = float) -> NDArray[Any]:
+        return np.broadcast_to(np.asarray(values, dtype=dtype), len(km))[order]
+
+    # all parameters have a column, and those parts of which any trip has an estimate
+    estimated = (name for name in ESTIMATED if name not in PARAMETERS and name in estimates)
+    parts = [n for n in estimated if np.isfinite(np.asarray(estimates[n], dtype=float)).any()]
+    names, widths = (*PARAMETERS[:-1], *parts, BODY_MASS), half_widths or {}
+    others |= {"mileage_km": km}
+    numbers: dict[str, Any] = {name: column(others.get(name, np.nan)) for name in NUMBERS}
+    return Series(
+        vehicle=others.get("vehicle", ""),
+        place=others.get("place", Place()),
+        trip=trip[order],
+        start=column(others.get("start", "NaT"), "datetime64[s]"),
+        flagged=column(flagged, bool),
+        estimates={name: column(estimates.get(name, np.nan)) for name in names},
+        half_widths={name: column(widths.get(name, np.nan)) for name in names},
+        sensors=column(others.get("sensors", ""), str),
+        worn=column(others.get("worn", ""), object),
+        events=tuple(sorted(events, key=lambda event: event.mileage_km)),
+        **numbers,
+    )
+
+
+def series_of(results: Sequence[TripResult], events: Iterable[Event] = ()) -> Series:
+    """Return the trips of one suspension, at least one, as arrays by mileage.
+
+    Their intervals are ``Series.widened``.
+    """
+
+    def values(kind: str) -> dict[str, list[float]]:
+        return {name: [getattr(r, kind).get(name, np.nan) for r in results] for name in ESTIMATED}
+
+    return make_series(
+        [r.mileage_km for r in results],
+        values("estimates"),
+        values("half_widths"),
+        [bool(r.flags) for r in results],
+        events,
+        vehicle=results[0].vehicle,
+        place=results[0].place,
+        trip=[r.trip for r in results],
+        start=np.array([utc(r.start) for r in results], dtype="datetime64[s]"),
+        healthy_since_km=[r.healthy_since_km for r in results],
+        speed_m_per_s=[r.quality.speed_m_per_s for r in results],
+        sensors=[r.quality.sensors for r in results],
+        worn=[stored(r.worn) for r in results],
+        temperature_c=[r.temperature_c for r in results],
+        direction=[SIGNS.get(r.quality.direction, np.nan) for r in results],
+    ).widened()
+
+
+def half_width_of_median(half_widths: ArrayLike) -> float:
+    """Return the half-width of the median of trips from their own; 0 if one is unknown."""
+    widths = np.asarray(half_widths, dtype=float)
+    return float(np.nan_to_num(np.sqrt(np.pi / 2 / len(widths)) * np.median(widths)))

@@ -1,0 +1,312 @@
+"""State of a suspension, of which all outputs are made: alarms, assessments, remaining lives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from suspnet.ground.findings import Finding, parts_of, restored
+from suspnet.ground.parameters import BODY_MASS, Limits, Severity, kind_of
+from suspnet.ground.records import Key
+from suspnet.ground.types import FloatArray
+from suspnet.trains.maintenance.alarms import Alarm, Watched
+from suspnet.trains.maintenance.assessment import (
+    ONE_FLAGGED,
+    Assessment,
+    assess,
+    joined,
+    overall,
+    severity_of,
+    worst_first,
+)
+from suspnet.trains.maintenance.degradation import FleetPrior
+from suspnet.trains.maintenance.judge import LastTrips, judge_last, last_trips
+from suspnet.trains.maintenance.life import MIN_TRIPS, Life, predict_life
+from suspnet.trains.maintenance.sensors import IN_A_ROW
+from suspnet.trains.maintenance.series import N_LAST, Series
+from suspnet.trains.maintenance.trend import LEAST_PERCENT, flagged_trend
+
+UNKNOWN_HEALTHY = "healthy is not known yet"
+"""Doubt about limits as long as fewer trips have an estimate than define healthy."""
+SENSOR_FAILED = "a sensor has failed, see its alarm"
+"""Doubt about limits while a sensor misleads the newest trips."""
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Alarms, lives and assessments of one suspension, all from the trips of `series`.
+
+    Severities, present values and lives use the trips since the last commissioning and maintenance;
+    alarms use those since the last commissioning. A parameter that is missing in `limits` has none.
+    `watched` has the alarms from its trips and, if compared, from its sisters, `lives` the life
+    until the act limit of each parameter with limits and enough trips. `least_percent` is the
+    smallest change of each parameter that counts, [% of healthy]; ``LEAST_PERCENT`` by default.
+    """
+
+    series: Series
+    limits: Mapping[str, Limits] = field(default_factory=dict)
+    watched: Watched = field(default_factory=Watched)
+    lives: dict[str, Life] = field(default_factory=dict)
+    least_percent: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def key(self) -> Key:
+        """Vehicle and place."""
+        return self.series.key
+
+    @cached_property
+    def recent(self) -> Series:
+        """Trips since the last commissioning and maintenance."""
+        return self.series.select(self.series.recent)
+
+    @cached_property
+    def doubt(self) -> str:
+        """Why the limits cannot be applied; empty if they can."""
+        if len(self.series.misled) >= IN_A_ROW and self.series.misled[-IN_A_ROW:].all():
+            return SENSOR_FAILED
+        done = self.series.done[self.series.between[-1]]
+        return UNKNOWN_HEALTHY if done.sum() < (self.series.n_first or 0) else ""
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Parameters that are estimated."""
+        return self.series.outputs
+
+    @cached_property
+    def alarms(self) -> list[Alarm]:
+        """Active alarms, the most severe first."""
+        active = [alarm for alarm in self.watched.alarms if alarm.is_open]
+        return sorted(active, key=lambda alarm: (-alarm.severity, alarm.begin_km))
+
+    def alarms_of(self, name: str) -> list[Alarm]:
+        """Return the active alarms of a parameter by the mileage where they start."""
+        return [a for a in self.watched.alarms if a.parameter == name and a.is_open]
+
+    @cached_property
+    def severities(self) -> dict[str, Severity]:
+        """Severity of each parameter except the car-body mass."""
+        return {
+            name: severity_of(
+                self.last_of(name), self.limits.get(name), self.alarms_of(name), self.doubt
+            )
+            for name in self.outputs
+            if name != BODY_MASS
+        }
+
+    @cached_property
+    def severity(self) -> Severity:
+        """Worst severity of the parameters."""
+        return max(self.severities.values(), default=Severity.UNKNOWN)
+
+    @cached_property
+    def assessments(self) -> list[Assessment]:
+        """Assessment of each parameter."""
+        return [self._assessment(name) for name in self.outputs]
+
+    @property
+    def worst(self) -> list[Assessment]:
+        """Assessments of the worst severity that share one reason; empty without findings."""
+        return next(iter(joined(worst_first(self.assessments))), [])
+
+    @property
+    def parameters(self) -> str:
+        """Names of the parameters with the worst severity, as text."""
+        return ", ".join(assessment.parameter for assessment in self.worst)
+
+    @property
+    def reason(self) -> str:
+        """Reason of the severity, or a sentence on all parameters."""
+        return self.worst[0].words if self.worst else overall(self.assessments)[1]
+
+    @cached_property
+    def unjudged(self) -> str:
+        """Why the last trips cannot be judged; empty if they can."""
+        flagged = self.recent.flagged[self.recent.done][-N_LAST:]
+        if not len(flagged):
+            return "no trip with an estimate"
+        if not flagged.all():
+            return ""
+        n = len(flagged)
+        return Finding("all-last-flagged", n=n) if n > 1 else ONE_FLAGGED
+
+    @cached_property
+    def unknown(self) -> dict[str, str]:
+        """Parameters with limits whose remaining life is unknown or unreliable, with the reason.
+
+        There are too few trips, or the last trips cannot be judged.
+        """
+        recent, passed = self.recent, self.watched.passed
+        reasons = {
+            name: self.unjudged
+            or why_unknown(
+                recent.mileage_km, recent.estimates[name], recent.half_widths[name], recent.flagged
+            )
+            for name in self.limits
+            if name in self.outputs and name not in passed
+        }
+        return {name: why for name, why in reasons.items() if why}
+
+    @cached_property
+    def shortest(self) -> tuple[str, Life] | None:
+        """Parameter that may pass its act limit first, by the 10 % quantile, and its life."""
+        ends = [(life.quantile_km(0.1), name) for name, life in self.lives.items()]
+        km, name = min(ends, default=(math.inf, ""))
+        return (name, self.lives[name]) if np.isfinite(km) else None
+
+    @cached_property
+    def last_km(self) -> float:
+        """Mileage of the newest trip with an estimate, [km]; NaN if there is none."""
+        km = self.series.mileage_km[self.series.done]
+        return float(np.nanmax(km)) if np.isfinite(km).any() else np.nan
+
+    @cached_property
+    def _last(self) -> dict[str, LastTrips]:
+        return {name: last_trips(self.recent, name) for name in self.series.estimates}
+
+    def last_of(self, name: str) -> LastTrips:
+        """Return the last ``N_LAST`` trips with an estimate of a parameter."""
+        return self._last[name]
+
+    def leading(self, name: str) -> LastTrips:
+        """Return the trips behind the present value of a parameter: the newest, or the last ones.
+
+        It is the newest alone if the verdict rests on it: it is beyond a limit, or names the part
+        as worn, which may have failed since the trips before.
+        """
+        last = self.last_of(name)
+        severity, judged = judge_last(last, self.limits.get(name))
+        is_beyond = severity >= Severity.NOTICE and judged is not None and judged.run > 0
+        findings = (f for f in parts_of(self.worn) if isinstance(f, Finding))
+        is_named = any(name in finding.values.get("names", ()) for finding in findings)
+        return last.newest if is_beyond or is_named else last
+
+    @cached_property
+    def worn(self) -> str:
+        """Which parts have worn on the newest trip with an estimate of parts, as text."""
+        newest = self.recent.newest_with_parts
+        return "" if newest is None else restored(self.recent.worn[newest])
+
+    def now(self, name: str) -> float:
+        """Return the present value of a parameter, [-]: the median of its ``leading`` trips.
+
+        NaN if there is no estimate.
+        """
+        values = self.leading(name).values
+        return float(np.median(values)) if len(values) else np.nan
+
+    def furthest(self, name: str) -> float:
+        """Return the present value of a parameter, or of that of its parts furthest from 1, [-]."""
+        parts = [part for part in self.outputs if part != name and kind_of(part) == name]
+        values = [self.now(part) for part in parts] or [self.now(name)]
+        return max(values, key=lambda value: abs(math.log(value)) if value > 0 else -1.0)
+
+    def _assessment(self, name: str) -> Assessment:
+        recent, least = self.recent, self.least_percent.get(name, LEAST_PERCENT)
+        trend = flagged_trend(
+            name, recent.mileage_km, recent.estimates[name], recent.flagged, least
+        )
+        limits, alarms = self.limits.get(name), self.alarms_of(name)
+        assessment = assess(trend, self.last_of(name), limits, alarms, self.doubt)
+        life, why = self.lives.get(name), self.unknown.get(name, "")
+        return replace(assessment, now=self.now(name), life=life, unknown_life=why)
+
+
+def by_urgency(states: Iterable[State]) -> list[State]:
+    """Return states by severity, the worst first, then by remaining life."""
+
+    def order(state: State) -> tuple[int, float, str, str]:
+        life = state.shortest[1].quantile_km(0.1) if state.shortest else np.inf
+        return -state.severity, life, state.series.vehicle, str(state.series.place)
+
+    return sorted(states, key=order)
+
+
+MOST_RATIO = 100.0
+MOST_WIDTH = 1.0
+"""Factor from healthy, and half-width in logarithms, beyond which a trip is not used."""
+Trips = tuple[FloatArray, FloatArray, FloatArray]
+"""Mileage [km], estimates and half-widths of the trips from which a life is predicted."""
+
+
+def remaining_lives(
+    mileage_km: ArrayLike,
+    values: Mapping[str, ArrayLike],
+    half_widths: Mapping[str, ArrayLike],
+    flagged: ArrayLike,
+    limits: Mapping[str, Limits],
+    passed: Collection[str] = (),
+    fleet: Mapping[str, FleetPrior] | None = None,
+    seed: int = 0,
+) -> dict[str, Life]:
+    """Return the distribution of the mileage until each parameter passes its act limit.
+
+    Parameters without limits, or with fewer than ``MIN_TRIPS`` usable trips, are left out.
+
+    Parameters
+    ----------
+    mileage_km : array of shape (n_trips,), [km]
+        Since the last maintenance, in any order; NaN: not used.
+    values, half_widths : mapping from parameter to array of shape (n_trips,), [-]
+        Relative to healthy, and half-widths of their intervals in logarithms; NaN: none.
+    flagged : bool array of shape (n_trips,)
+        Trips that are not used.
+    limits : mapping from parameter to Limits
+    passed : collection of str
+        Parameters with an alarm of the act limit: their remaining life is 0.
+    fleet : mapping of FleetPrior, optional
+        Prior of each parameter from suspensions of this type (``learn_fleet``).
+    seed : int
+    """
+    lives = {}
+    for name, limit in limits.items():
+        if name not in values:
+            continue
+        trips = trips_of_life(mileage_km, values[name], half_widths[name], flagged)
+        if name in passed:
+            lives[name] = Life("no trend", np.zeros(1))
+        elif trips is not None:
+            lives[name] = predict_life(*trips, limit.act, fleet=(fleet or {}).get(name), seed=seed)
+    return lives
+
+
+def why_unknown(
+    mileage_km: ArrayLike, values: ArrayLike, half_widths: ArrayLike, flagged: ArrayLike
+) -> str:
+    """Return why these trips do not determine a remaining life; empty if they do."""
+    if trips_of_life(mileage_km, values, half_widths, flagged) is not None:
+        return ""
+    done, doubtful = np.isfinite(np.asarray(values, dtype=float)), np.asarray(flagged, dtype=bool)
+    n_done, n_clear = int(done.sum()), int((done & ~doubtful).sum())
+    if not n_done:
+        return "no trip with an estimate"
+    if not n_clear:
+        return "all trips are flagged" if n_done > 1 else ONE_FLAGGED
+    if n_clear < MIN_TRIPS:
+        kind = "too-few-unflagged" if doubtful.any() else "too-few-of"
+        return Finding(kind, n=n_clear, n_needed=MIN_TRIPS)
+    return "too few trips with a mileage and an estimate that is certain enough"
+
+
+def trips_of_life(
+    mileage_km: ArrayLike, values: ArrayLike, half_widths: ArrayLike, flagged: ArrayLike
+) -> Trips | None:
+    """Return the trips usable for predicting a life, by mileage; None if there are too few.
+
+    Flagged trips, estimates beyond a factor of ``MOST_RATIO`` and half-widths above ``MOST_WIDTH``
+    are left out.
+    """
+    km, centre, width = (
+        np.asarray(column, dtype=float) for column in (mileage_km, values, half_widths)
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        is_certain = (np.abs(np.log(centre)) <= np.log(MOST_RATIO)) & ~(width > MOST_WIDTH)
+    used = np.isfinite(km) & is_certain & ~np.asarray(flagged, dtype=bool)
+    order = np.flatnonzero(used)[np.argsort(km[used], kind="stable")]
+    if len(order) < MIN_TRIPS or km[order[-1]] <= km[order[0]]:
+        return None
+    return km[order], centre[order], np.where(np.isfinite(width), width, np.nan)[order]

@@ -1,0 +1,1 @@
+"""What people read: reports, overviews, the pages of check and commissioning, work orders."""

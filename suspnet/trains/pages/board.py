@@ -1,0 +1,325 @@
+"""The current state of a fleet, updated from a history, also by a thread."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from datetime import UTC, date, datetime
+from pathlib import Path
+from typing import Any
+
+from suspnet.ground.findings import Finding
+from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Limits, read_limits
+from suspnet.ground.records import Key
+from suspnet.trains.history import History, HistoryError
+from suspnet.trains.maintenance.alarms import Alarm, Watched
+from suspnet.trains.maintenance.change import ChangeSettings
+from suspnet.trains.maintenance.fleet import FleetStates
+from suspnet.trains.maintenance.plan import PlanSettings, plan_of
+from suspnet.trains.maintenance.schedule import Plan
+from suspnet.trains.maintenance.sisters import SisterSettings
+from suspnet.trains.maintenance.state import State, by_urgency
+from suspnet.trains.pages.overview import FleetView, fleet_view
+
+log = logging.getLogger(__name__)
+SHOWN_S = 5.0  # a refresh that takes longer shows a partial result at this interval
+LOOK_S = 1.0  # timeout for a lock of the store by other programs
+READ_AT_ONCE = 100  # suspensions that are read in one transaction
+AT_ONCE = 50  # suspensions updated between two checks of the elapsed time
+
+
+@dataclass(frozen=True)
+class BoardSettings:
+    """Settings of the states and the plan of a fleet.
+
+    `vehicles` has the limits of vehicles by name; others have ``DEFAULT_LIMITS``. `limits` override
+    them all. `n_first` is the number of first trips whose median is healthy (None: the models
+    define it). `today` is an ISO 8601 day (None: that of the computer's clock), `seed` that of the
+    predicted lives. ValueError is raised if `today` is not a day, or the limits are inconsistent.
+    """
+
+    vehicles: Mapping[str, Mapping[str, Limits]] = field(default_factory=dict)
+    limits: Mapping[str, Any] | None = None
+    changes: ChangeSettings = field(default_factory=ChangeSettings)
+    sisters: SisterSettings = field(default_factory=SisterSettings)
+    plan: PlanSettings = field(default_factory=PlanSettings)
+    n_first: int | None = None
+    today: str | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        try:
+            self.day()
+        except ValueError:
+            raise ValueError(f"`today` must be a day like 2026-03-31, got {self.today!r}") from None
+        for vehicle in self.vehicles:
+            self.limits_of(vehicle)
+
+    def day(self) -> date:
+        """Return the first day of the plan."""
+        return date.fromisoformat(str(self.today)) if self.today else date.today()
+
+    def limits_of(self, vehicle: str) -> Mapping[str, Limits]:
+        """Return the limits of a vehicle by its name; ValueError if `limits` cannot be read."""
+        return read_limits(self.limits or {}, self.vehicles.get(vehicle, DEFAULT_LIMITS))
+
+
+class Board:
+    """The current state of a fleet, updated from a history.
+
+    Only suspensions whose revision in the store changed are read and recomputed, and compared with
+    their sisters. The rates of wear of a fleet, and with them the lives of all its suspensions, are
+    learnt again as ``FleetStates`` says. A long refresh shows partial results every ``SHOWN_S``:
+    first the suspensions with the alarms in the store.
+
+    Sister alarms are written to the store, as no other program finds them while trips are
+    monitored; alarms of limits and changes are stored by the evaluation of the trips. They are
+    written only if they differ from those this board found last, so that boards of different
+    settings do not trigger each other for ever.
+
+    `store` is the file or URL of the history; a file may be created later.
+    """
+
+    def __init__(self, store: str, settings: BoardSettings) -> None:
+        self.store = store
+        self.settings = settings
+        self._limits: dict[str, Mapping[str, Limits]] = {}
+        self._fleet = FleetStates(self._limits, settings.changes, settings.sisters, settings.seed)
+        self._view = FleetView()
+        self._revisions: dict[Key, int] = {}
+        self._early: dict[Key, State] = {}
+        self._unstored: set[Key] = set()
+        self._stored: dict[Key, list[Alarm]] = {}
+        self._plan: Plan | None = None
+        self._day = settings.day()
+        self._is_due = True
+        self._file: tuple[int, int] | None = None
+        self._is_doubted = False
+        self._store_fault = ""
+        self._shown_at = 0.0
+        self._lock = threading.Lock()
+
+    @property
+    def view(self) -> FleetView:
+        """The last view, available at once even while the next one is computed."""
+        return self._view
+
+    def refresh(self) -> bool:
+        """Recompute what changed in the store since the last call; return whether the view is new.
+
+        If the store cannot be used the last view stays, with its `trouble`. Concurrent calls of
+        threads wait for each other.
+        """
+        with self._lock:
+            before = self._view
+            try:
+                with History(self.store, wait_s=LOOK_S, must_exist=True) as history:
+                    self._refresh(history)
+            except HistoryError as error:
+                self._is_doubted = True  # it may be another store once it can be read again
+                if str(error) != self._view.trouble:
+                    log.warning("%s", error)
+                    version = self._view.version + 1
+                    self._view = replace(self._view, version=version, trouble=str(error))
+            return self._view is not before
+
+    def _refresh(self, history: History) -> None:
+        revisions, day, file = history.revisions(), self.settings.day(), file_number(self.store)
+        self._is_due |= day != self._day
+        bad = {row.key for row in self._view.bad_rows}  # they may have been corrected
+        is_other = self._is_doubted or file != self._file
+        changed = [
+            key
+            for key, revision in revisions.items()
+            if is_other or key in bad or self._revisions.get(key) != revision
+        ]
+        if changed or self._revisions.keys() - revisions.keys():
+            self._read(history, revisions, changed)
+        self._file, self._is_doubted = file, False
+        if self._is_due:
+            # lives of the whole fleet, as its rates of wear may have changed
+            while not self._fleet.predict(SHOWN_S):
+                self._show(history, is_complete=False)
+            self._plan = plan_of(self._fleet.states(), self.settings.plan, day)
+            self._show(history, is_complete=True)
+            self._day, self._is_due = day, False
+            self._early.clear()
+        elif (
+            self._view.trouble
+            or history.all_acknowledgements() != self._view.acknowledged
+            or {*history.bad_rows} != {*self._view.bad_rows}
+        ):
+            self._show(history, is_complete=True)
+        if self._unstored:
+            self._store_alarms(history)
+
+    def _read(self, history: History, revisions: dict[Key, int], changed: list[Key]) -> None:
+        changed.sort(key=lambda key: (key[0], str(key[1])))  # suspensions of one car together
+        series = [  # in parts: an SQLite file cannot be written while it is read
+            own.relative_to_first(self.settings.n_first)
+            for begin in range(0, len(changed), READ_AT_ONCE)
+            for own in history.series(changed[begin : begin + READ_AT_ONCE])
+        ]
+        for vehicle in {own.vehicle for own in series} - self._limits.keys():
+            try:
+                self._limits[vehicle] = self.settings.limits_of(vehicle)
+            except ValueError as error:  # of a vehicle that is not in the settings
+                raise HistoryError(f"{history}: vehicle {vehicle}: {error}") from None
+        # new suspensions are shown at once, with the alarms in the store
+        new = [own for own in series if own.key not in self._revisions]
+        if new or self._view.bad_rows:
+            alarms = history.all_alarms()
+            self._early |= {
+                own.key: State(own, self._limits[own.vehicle], Watched(alarms.get(own.key, [])))
+                for own in new
+            }
+        if len(new) > AT_ONCE:
+            self._show(history, is_complete=False)
+        gone = self._fleet.keys() - revisions.keys()
+        gone |= set(changed) - {own.key for own in series}
+        self._is_due |= bool(gone)
+        self._note(self._fleet.update([], gone))
+        self._unstored -= gone
+        self._stored = {key: alarms for key, alarms in self._stored.items() if key not in gone}
+        # recompute the others in parts, and show partial results of a long refresh
+        for begin in range(0, len(series), AT_ONCE):
+            self._note(self._fleet.update(series[begin : begin + AT_ONCE]))
+            if time.monotonic() - self._shown_at > SHOWN_S:
+                self._show(history, is_complete=False)
+        self._revisions = revisions
+
+    def _note(self, keys: set[Key]) -> None:
+        self._is_due |= bool(keys)
+        self._unstored |= keys
+
+    def _show(self, history: History, *, is_complete: bool) -> None:
+        states = self._fleet.states()
+        keys = {state.key for state in states}
+        early = [state for key, state in self._early.items() if key not in keys]
+        self._view = fleet_view(
+            by_urgency([*states, *early]),
+            dict(self._limits),
+            history.all_acknowledgements(),
+            self._plan,
+            version=self._view.version + 1,
+            is_complete=is_complete,
+            bad_rows=history.bad_rows,
+        )
+        self._shown_at = time.monotonic()
+
+    def _store_alarms(self, history: History) -> None:
+        """Store sister alarms that differ from those found last."""
+        alarms = {key: self._fleet.of_sisters(key) for key in self._unstored}
+        other = {key: own for key, own in alarms.items() if self._stored.get(key) != own}
+        try:
+            history.keep_all_alarms(other, [Cause.SISTER])
+        except HistoryError as error:  # it may be locked or read-only: try at the next refresh
+            if str(error) != self._store_fault:
+                log.warning("alarms of sisters are not stored: %s", error)
+            self._store_fault = str(error)
+            return
+        self._stored |= other
+        self._unstored.clear()
+        self._store_fault = ""
+
+
+def file_number(store: str) -> tuple[int, int] | None:
+    """Return device and inode, which change if a file is replaced; None for a server."""
+    if "://" in store:
+        return None
+    try:
+        status = Path(store).stat()
+    except OSError:
+        return None
+    return status.st_dev, status.st_ino
+
+
+class Refresher:
+    """Updates a board in its own thread; `every_s` [s] is the pause between two refreshes."""
+
+    def __init__(self, board: Board, every_s: float) -> None:
+        self.board = board
+        self.every_s = every_s
+        self._error = ""
+        self._started_at: datetime | None = None
+        self._looked: datetime | None = None
+        self._read: datetime | None = None
+        self._wake, self._end = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._run, name="refresher", daemon=True)
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def soon(self) -> None:
+        """Refresh now instead of after the usual pause."""
+        self._wake.set()
+
+    def stop(self, wait_s: float = 5.0) -> None:
+        """Stop the thread, and wait for it up to `wait_s` [s]."""
+        self._end.set()
+        self._wake.set()
+        if self._thread.is_alive():
+            self._thread.join(wait_s)
+
+    @property
+    def fault(self) -> str:
+        """Why the pages may be out of date; empty if they are not."""
+        if not self._thread.is_alive():
+            kind = "no-longer-read-as" if self._error else "no-longer-read"
+            return Finding(kind, error=self._error)
+        if self._error:
+            return Finding("state-unknown", error=self._error)
+        trouble = self.board.view.trouble
+        return Finding("store-unreadable", trouble=trouble) if trouble else ""
+
+    @property
+    def read_at(self) -> datetime:
+        """When the store was last read: the time of the data on the pages."""
+        return self._read or self.board.view.at
+
+    @property
+    def words(self) -> str:
+        """When the store was last read, as text."""
+        if self._started_at:
+            return Finding("reading", time=clock(self._started_at))
+        if self._looked:
+            return Finding("last-read", clock=clock(self._looked))
+        return Finding("not-read-yet")
+
+    def _run(self) -> None:
+        """Refresh until stopped; after an error, try again."""
+        try:
+            while not self._end.is_set():
+                self._wake.clear()
+                self.look()
+                self._wake.wait(self.every_s)
+        except BaseException as error:
+            self._error = f"{type(error).__name__}: {error}"
+            raise
+
+    def look(self) -> None:
+        """Refresh the board now; an error is logged, and stated by `fault` while there is one."""
+        started = self._started_at = datetime.now(UTC)
+        try:
+            self.board.refresh()
+            self._error = ""
+            self._looked = datetime.now(UTC)
+            if not self.board.view.trouble:
+                self._read = started
+        except Exception as error:
+            if not self._error:
+                log.exception("the state of the fleet could not be computed")
+            self._error = f"{type(error).__name__}: {error}"
+        finally:
+            self._started_at = None
+
+
+def clock(time: datetime) -> str:
+    """Return a time by this computer's clock, with its day unless it is today."""
+    local = time.astimezone()
+    is_today = local.date() == datetime.now().astimezone().date()
+    return f"{local:%H:%M:%S}" if is_today else f"{local:%Y-%m-%d %H:%M:%S}"

@@ -1,0 +1,215 @@
+"""A bogie from above: what is known of each of its twelve parts, for the macros of bogie.html."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from suspnet.ground.findings import Finding, parts_of, together
+from suspnet.ground.parameters import BOGIE_PARTS, SIDES, Severity, part_words
+from suspnet.ground.records import TripResult
+from suspnet.trains.maintenance.judge import ABSURD
+from suspnet.trains.maintenance.plan import place_of
+from suspnet.trains.maintenance.schedule import Plan
+from suspnet.trains.maintenance.state import State
+from suspnet.trains.pages.overview import REPORT, Evaluated, FleetView
+from suspnet.trains.pages.tables import interval_digits
+from suspnet.trains.pages.templates import level, shown_number
+
+EQUAL_SIDES = (
+    "these estimates take both sides and both axles as equal, protocol=components with sensors "
+    "left and right reads each part"
+)
+"""Why estimates without parts name none."""
+NONE_NAMED = Finding("no-part-at-all", reason=EQUAL_SIDES)
+MAX_DIGITS = 1  # decimals in the drawing, whose labels are narrow
+LEAST_HALF = 0.1  # smallest half width of an interval that is shown [% of healthy]
+WIDE_HALF = 10.0  # half width of an interval from which no decimals are shown [% of healthy]
+MAX_BOGIES = 6  # drawn on one page of a fleet
+LETTERS = "ABCDEFGHIJKL"  # names of groups of parts
+
+
+@dataclass(frozen=True)
+class DrawnPart:
+    """One part as it is drawn; `value` and `half` are in % of healthy, as text.
+
+    `half` is empty without an interval, `group` unless the part is one of several of which one has
+    worn, `odds` unless it alone is named as worn, and `visit` unless the plan has work on it.
+    """
+
+    name: str
+    severity: str
+    value: str
+    half: str
+    group: str = ""
+    odds: str = ""
+    visit: str = ""
+
+    @property
+    def words(self) -> str:
+        """The part as a depot calls it."""
+        return part_words(self.name)
+
+    @property
+    def worn(self) -> str:
+        """Whether the part has worn, as text; empty without a verdict."""
+        named = Finding("worn", odds=self.odds) if self.odds else ""
+        return together((named, self.group and Finding("one-of-group", group=self.group)))
+
+    @property
+    def level(self) -> str:
+        """Value and interval as text."""
+        if not self.value:
+            return "no estimate"
+        text = f"{self.value} ± {self.half} %" if self.half else f"{self.value} %"
+        return text.replace(" ", "\N{NO-BREAK SPACE}")
+
+
+@dataclass(frozen=True)
+class Bogie:
+    """The twelve parts by name; `groups` has a sentence on each group of parts, by its letter."""
+
+    parts: dict[str, DrawnPart]
+    groups: dict[str, str]
+
+    @property
+    def listed(self) -> list[DrawnPart]:
+        """Parts with a finding, a verdict or work planned, the worst first."""
+        order = [str(severity) for severity in sorted(Severity, reverse=True)]
+        shown = [p for p in self.parts.values() if p.severity != "none" or p.worn or p.visit]
+        return sorted(shown, key=lambda part: order.index(part.severity))
+
+
+def bogie_of(state: State, plan: Plan | None = None) -> Bogie | None:
+    """Return the bogie of a suspension; None if no trip has an estimate of its parts.
+
+    Value and interval of a part are medians of its ``State.leading`` trips, of the interval those
+    of them that are not flagged. Verdicts are those of the newest trip with an estimate of parts.
+    """
+    if not set(BOGIE_PARTS) & set(state.outputs):
+        return None
+    entries = worn_entries(state.worn)
+    groups = dict(zip(LETTERS, (entry for entry in entries if len(entry[0]) > 1), strict=False))
+    odds = {names[0]: text for names, text in entries if len(names) == 1}
+    visits = visits_of(plan, state)
+    parts = {}
+    for name in BOGIE_PARTS:
+        severity = state.severities.get(name, Severity.UNKNOWN)
+        letters = " ".join(letter for letter, (names, _) in groups.items() if name in names)
+        verdict = letters, odds.get(name, ""), visits.get(name, "")
+        parts[name] = DrawnPart(name, str(severity), *_level(state, name), *verdict)
+    return Bogie(parts, {letter: group_words(*group) for letter, group in groups.items()})
+
+
+def bogies_shown(view: FleetView, chosen: Iterable[int] | None = None) -> dict[str, Any]:
+    """Return the bogies of a fleet, those with findings first, for the macro `fleet`.
+
+    `chosen` are indices of the states, None: all. The values are "bogies", each with its place and
+    its name in URLs, "n_bogies", the number of bogies whose parts are read, and "no_part", a
+    sentence if there are none.
+    """
+    several = list(range(len(view.states)) if chosen is None else chosen)
+    read = [i for i in several if set(BOGIE_PARTS) & set(view.states[i].outputs)]
+    return {
+        "bogies": [
+            (view.rows[i]["where"], view.names[i], bogie_of(view.states[i], view.plan))
+            for i in sorted(read, key=lambda i: -view.states[i].severity)[:MAX_BOGIES]
+        ],
+        "n_bogies": len(read),
+        "no_part": "" if read or not several else NONE_NAMED,
+    }
+
+
+def bogies_of(done: Iterable[Evaluated]) -> dict[str, Any]:
+    """Return the bogies of a folder's suspensions, in the order given; see `bogies_shown`.
+
+    The name of each is the path of its report.
+    """
+    drawn = [
+        (str(suspension.place), f"{suspension.name}/{REPORT}", bogie)
+        for suspension in done
+        if suspension.state is not None and (bogie := bogie_of(suspension.state)) is not None
+    ]
+    return {"bogies": drawn[:MAX_BOGIES], "n_bogies": len(drawn)}
+
+
+def _level(state: State, name: str) -> tuple[str, str]:
+    """Return value and half width of the interval of a part, [% of healthy], as text."""
+    if name not in state.outputs or not len(state.last_of(name).values):
+        return "", ""
+    last, now = state.leading(name), state.now(name)
+    halves = 100 * (last.high - last.low)[~last.flagged] / 2
+    half = float(np.median(halves)) if len(halves) else math.nan
+    if not math.isfinite(half) or now > ABSURD:
+        return level(now, 1), ""
+    digits = 0 if half >= WIDE_HALF else min(interval_digits([half]), MAX_DIGITS)
+    return level(now, digits), shown_number(max(half, LEAST_HALF), digits)
+
+
+def small_figures(state: State, images: Mapping[str, str]) -> dict[bool, list[dict[str, str]]]:
+    """Return trends for the macro `multiples`, the worst first: True with a finding, False without.
+
+    `images` are the figures, or their addresses, by the name of the parameter.
+    """
+    figures: dict[bool, list[dict[str, str]]] = {True: [], False: []}
+    severities = {name: state.severities.get(name, Severity.NONE) for name in images}
+    for name in sorted(images, key=lambda name: -severities[name]):
+        figure = {"name": name, "severity": str(severities[name]), "image": images[name]}
+        figures[severities[name] > Severity.NONE].append(figure)
+    return figures
+
+
+def worn_entries(worn: str) -> list[tuple[tuple[str, ...], str]]:
+    """Return parts and odds of each entry of ``TripResult.worn``; several parts are a group."""
+    return [
+        (entry.values["names"], entry.values["odds"])
+        for entry in parts_of(worn)
+        if isinstance(entry, Finding) and "names" in entry.values
+    ]
+
+
+def group_words(names: Sequence[str], odds: str) -> str:
+    """Return a sentence on parts of which one has worn, with what they have in common."""
+    common = _common([part.partition("_")[2].split("_")[1:] for part in names])
+    parts = together(map(part_words, names), " or ")
+    return Finding("one-of-several-worn", common=common, odds=odds, parts=parts)
+
+
+def _common(places: Sequence[Sequence[str]]) -> str:
+    """Return " on the left", " at axle 1" or both, if parts share that; empty if nothing."""
+    shared = set(places[0]).intersection(*places[1:])
+    axles = (Finding("at-axle", axle=place[-1]) for place in sorted(shared) if "axle" in place)
+    return together((*axles, *(f" on the {side}" for side in SIDES if side in shared)), "")
+
+
+def visits_of(plan: Plan | None, state: State) -> dict[str, str]:
+    """Return the work on each part of a suspension that has a visit: what, and on which day."""
+    place = place_of(state)
+    return {
+        job.part.parameter: visit.words_of(job)
+        for visit in (plan.visits if plan else ())
+        if visit.train == place[0]
+        for job in visit.jobs
+        if job.part.place == place and job.part.parameter in BOGIE_PARTS
+    }
+
+
+def why_no_part(trips: Iterable[TripResult], outputs: Iterable[str]) -> str:
+    """Return a sentence on why no part, or none of some trips, is named; empty if all are.
+
+    `trips` are in the order of the mileage: it gives the reason of the newest one.
+    """
+    reasons = [(trip.trip, trip.quality.no_part) for trip in trips if trip.quality.no_part]
+    has_parts = bool(set(BOGIE_PARTS) & set(outputs))
+    if not reasons:
+        return "" if has_parts else NONE_NAMED
+    trip, reason = reasons[-1]
+    if len(reasons) > 1:
+        reason = Finding("of-newest-trip", words=reason, trip=trip)
+    if has_parts:
+        return Finding("no-part-on-trips", n=len(reasons), reason=reason)
+    return Finding("no-part-at-all", reason=reason)

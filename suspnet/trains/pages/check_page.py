@@ -1,0 +1,392 @@
+"""Results of the check of trips, and their text, JSON, page and pictures."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from tabulate import tabulate
+from torch import Tensor
+
+from suspnet._version import __version__
+from suspnet.curves.cross_spectra import CrossSpectra
+from suspnet.curves.estimates import SPEED_HALF_WIDTH
+from suspnet.curves.speeds import covering, setting_words
+from suspnet.estimation.trip_settings import LEAST_TRIPS
+from suspnet.ground.findings import Finding, at, together
+from suspnet.ground.records import Place
+from suspnet.ground.storage import printable, write_atomically, write_json
+from suspnet.ground.wording import files_of, span
+from suspnet.runs.figures import as_png, say
+from suspnet.runs.language import spoken
+from suspnet.trains.pages.templates import render
+from suspnet.trains.pages.trip_figures import CHANNEL_TITLES, draw_signals
+from suspnet.trains.recordings.recording import Recording, overview
+from suspnet.trains.trips.grouping import lone_trains
+
+READY, TOO_LITTLE, PROBLEM = "ready", "too little", "problem"
+"""States of a trip: it is readable by the given models, or without any by a model of its speed; too
+little of it can be used; it cannot be opened, or its channels are swapped."""
+PARTLY = "ready, partly checked"
+"""What is shown of a trip that is ready as far as it could be checked without its vehicle."""
+NEED_A_VEHICLE = "units, signs, swapped sensors and the direction of travel"
+"""What can be checked only against the numbers of the vehicle."""
+LISTED = 5
+"""Largest number of trips that are listed for one problem."""
+TONES = {READY: "good", PARTLY: "notice", TOO_LITTLE: "notice", PROBLEM: "act"}
+"""Tone of each state that is shown, the worst last; the page's style sheet has the colours."""
+
+
+@dataclass(frozen=True)
+class SteadyPart:
+    """Quality of a trip's segments at one speed.
+
+    `n_averages` counts independent averages. Coherences are means over the vehicle's band, of axle
+    box and bogie and of bogie and body. `deviation_percent` is the standard deviation of the
+    log-magnitude of the less certain response, median over the band. They are NaN where nothing but
+    each part is read.
+    """
+
+    speed_m_per_s: float
+    n_averages: float
+    coherence_p: float
+    coherence_s: float
+    deviation_percent: float
+
+
+@dataclass(frozen=True)
+class TripCheck:
+    """What is wrong with one trip, and how much of it can be used.
+
+    `problems` state why the trip cannot be read, without the manifest's path. `remarks` are faults
+    of sensors, parts that could not be checked, and why there is too little. `sensors` names the
+    channels that are pairs of sensors; `sources` are file and column of each sensor.
+    `usable_percent` is the share of the recording without faults, `steady_percent` the share of its
+    segments that belong to `parts`, which are the speeds with enough averages, the longest first.
+    `band_hz` is where the vehicle's responses are read, and `read_by` the speeds of the models that
+    decide whether the trip is ready, empty without models. `unchecked`: the vehicle's numbers are
+    not known, so that ``NEED_A_VEHICLE`` are not checked. `shows_parts`: each part of the bogie can
+    be read from it, as far as was checked. `label` is its name among trips of several folders,
+    `frame_sensor` where the frame's sensor looks to be.
+    """
+
+    manifest: Path
+    state: str = PROBLEM
+    problems: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+    vehicle: str = ""
+    place: Place = field(default_factory=Place)
+    mileage_km: float = np.nan
+    sensors: str = ""
+    duration_s: float = np.nan
+    usable_percent: float = np.nan
+    band_hz: tuple[float, float] = (np.nan, np.nan)
+    parts: tuple[SteadyPart, ...] = ()
+    steady_percent: float = np.nan
+    sources: tuple[str, ...] = ()
+    picture: str = ""
+    read_by: str = ""
+    unchecked: bool = False
+    shows_parts: bool = False
+    label: str = ""
+    frame_sensor: str = "axle"
+
+    @property
+    def shown(self) -> str:
+        """State as it is shown, which says if a trip that is ready was checked in part only."""
+        return PARTLY if self.state == READY and self.unchecked else self.state
+
+    @property
+    def name(self) -> str:
+        """Name of the trip; bytes that are not UTF-8 are shown in hex."""
+        return self.label or printable(self.manifest.stem)
+
+    @property
+    def n_averages(self) -> float:
+        """Independent averages at all steady speeds together."""
+        return sum(part.n_averages for part in self.parts)
+
+    @property
+    def words(self) -> str:
+        """Amount and quality of usable data, on one line."""
+        speeds = together(
+            (
+                Finding("averages-at", n_averages=part.n_averages, speed_m_per_s=part.speed_m_per_s)
+                for part in self.parts
+            ),
+            ", ",
+        )
+        return Finding(
+            "usable",
+            usable_percent=self.usable_percent,
+            speeds=speeds or "no steady part",
+            sensors=self.sensors,
+        )
+
+    def row(self) -> dict[str, Any]:
+        """Return the check as JSON-able values."""
+        return asdict(self) | {
+            "manifest": printable(str(self.manifest)),
+            "n_averages": self.n_averages,
+        }
+
+
+def with_distinct_names(checks: Sequence[TripCheck]) -> list[TripCheck]:
+    """Return checks in which trips of the same name are called FOLDER/NAME."""
+    folders: dict[str, list[Path]] = {}
+    for check in checks:
+        folders.setdefault(check.name, []).append(check.manifest.absolute().parent)
+    named = []
+    for check in checks:
+        if len(own := folders[check.name]) > 1:
+            below = check.manifest.absolute().parent.relative_to(os.path.commonpath(own))
+            check = replace(check, label=printable((below / check.name).as_posix()))
+        named.append(check)
+    return named
+
+
+def with_shared_data(checks: Sequence[TripCheck]) -> list[TripCheck]:
+    """Return checks with a remark if an earlier trip has a sensor of the same file and column.
+
+    This is the usual mistake when a manifest is copied.
+    """
+    owners: dict[str, str] = {}
+    remarked = []
+    for check in checks:
+        if others := dict.fromkeys(owners[one] for one in check.sources if one in owners):
+            remark = Finding("same-data", others=together(list(others)[:LISTED], ", "))
+            check = replace(check, remarks=(*check.remarks, remark))
+        remarked.append(check)
+        owners = dict.fromkeys(check.sources, check.name) | owners
+    return remarked
+
+
+@dataclass(frozen=True)
+class Suspension:
+    """The checked trips of one suspension; `title` is vehicle and place."""
+
+    title: str
+    checks: list[TripCheck]
+
+    def sentences(self) -> list[str]:
+        """Return how much data commissioning and reading would have."""
+        ready = [check for check in self.checks if check.state == READY]
+        trips = Finding("trips", n=len(self.checks))
+        words: list[str] = [Finding("some-ready", n_ready=len(ready), trips=trips)]
+        speeds = [part.speed_m_per_s for check in ready for part in check.parts]
+        if speeds:
+            setting = setting_words(covering(speeds, SPEED_HALF_WIDTH))
+            kilometres = [check.mileage_km for check in ready]
+            words[0] = Finding(
+                "read-by",
+                ready=words[0],
+                km=_ends(kilometres, 0),
+                speeds=_ends(speeds, 1),
+                read_by=ready[0].read_by or Finding("train-with", setting=setting),
+            )
+        if len(ready) < LEAST_TRIPS:
+            words.append(Finding("more-trips-needed", least_trips=LEAST_TRIPS))
+        kinds = sorted({check.sensors for check in ready})
+        if len(kinds) > 1:
+            words.append(Finding("sensors-differ", kinds=together(kinds, "; ")))
+        return words
+
+
+def suspensions(checks: Iterable[TripCheck]) -> list[Suspension]:
+    """Return the trips whose manifests could be read, by vehicle and place."""
+    by_title: dict[str, list[TripCheck]] = {}
+    for check in checks:
+        if check.vehicle:
+            title = together((check.vehicle, str(check.place)), ", ")
+            by_title.setdefault(title, []).append(check)
+    return [Suspension(title, by_title[title]) for title in sorted(by_title)]
+
+
+def train_words(checks: Iterable[TripCheck]) -> list[str]:
+    """Return a sentence on each vehicle with several suspensions whose manifests name no train."""
+    return [
+        at(vehicle, "suspensions-without-train", n_several=len(several))
+        for vehicle, several in lone_trains((one.vehicle, one.place) for one in checks).items()
+        if vehicle
+    ]
+
+
+USABLE = (
+    "usable: share without faults; steady: share of that in stretches at one speed that are long "
+    "and certain enough for an estimate"
+)
+"""Explanation of two columns of the table, where they differ."""
+
+
+def _ends(values: Sequence[float], digits: int) -> str:
+    return span(*(f"{of(values):.{digits}f}" for of in (min, max)))
+
+
+def verdict(checks: Sequence[TripCheck], elsewhere: Sequence[str]) -> str:
+    """Return how many trips are in which state, on one line."""
+    counts = Counter(check.shown for check in checks)
+    n_ready = counts[READY] + counts[PARTLY]
+    kinds = {"only-partly": counts[PARTLY], "read-but-little": counts[TOO_LITTLE]}
+    kinds |= {"with-problems": counts[PROBLEM], "lead-to-no-trip": len(elsewhere)}
+    others = [Finding(kind, n=n) for kind, n in kinds.items() if n]
+    return together((Finding("ready-for-estimate", n_ready=n_ready, n=len(checks)), *others), ", ")
+
+
+def summary(checks: Sequence[TripCheck], elsewhere: Sequence[str] = ()) -> str:
+    """Return all checks as text: verdict, table of the trips that could be read, all problems.
+
+    `elsewhere` are problems outside the trips.
+    """
+    read = [check for check in checks if np.isfinite(check.duration_s)]
+    lines = [verdict(checks, elsewhere)]
+    if read:
+        header = [
+            *("trip", "minutes", "usable %", "steady %", "m/s"),
+            *("averages", "coherence", "sensors", "state"),
+        ]
+        rows = [_cells(check) for check in read]
+        lines.append(tabulate(rows, header, tablefmt="github", disable_numparse=True))
+    if any(check.steady_percent < check.usable_percent for check in read):
+        lines.append(USABLE)
+    for one in suspensions(checks):
+        lines += ["", f"{one.title}: {'; '.join(one.sentences())}"]
+    lines += train_words(checks)
+    problems = _by_words((check.name, check.problems) for check in checks)
+    remarks = _by_words((check.name, check.remarks) for check in checks)
+    for title, listed in (
+        ("Problems", [*elsewhere, *(f"{names}: {words}" for words, names in problems)]),
+        ("Remarks", [f"{names}: {words}" for words, names in remarks]),
+    ):
+        if listed:
+            lines += ["", f"{title}:", *(f"  {line}" for line in listed)]
+    return "\n".join(lines)
+
+
+def _cells(check: TripCheck) -> list[str]:
+    speeds = [part.speed_m_per_s for part in check.parts]
+    coherence = ""
+    if check.parts and np.isfinite(check.parts[0].coherence_p):
+        coherence = f"{check.parts[0].coherence_p:.2f}, {check.parts[0].coherence_s:.2f}"
+    return [
+        check.name,
+        f"{check.duration_s / 60:.1f}",
+        f"{check.usable_percent:.1f}",
+        f"{check.steady_percent:.0f}" if np.isfinite(check.steady_percent) else "",
+        _ends(speeds, 1) if speeds else "",
+        f"{check.n_averages:.0f}",
+        coherence,
+        check.sensors,
+        check.shown,
+    ]
+
+
+def _by_words(remarks: Iterable[tuple[str, Sequence[str]]]) -> list[tuple[str, str]]:
+    """Return each sentence once with its trips, in the order of the trips.
+
+    How files are read is one sentence for all files that are read alike, with their number.
+    """
+    names: dict[str, list[str]] = {}
+    n_files: Counter[str] = Counter()
+    for name, sentences in remarks:
+        for sentence in sentences:
+            files = files_of(sentence)
+            for words, n in (files if any(files.values()) else {sentence: 0}).items():
+                n_files[words] += n
+                names.setdefault(words, []).append(name)
+    listed = []
+    for words, trips in names.items():
+        more = f" and {len(trips) - LISTED} more" if len(trips) > LISTED else ""
+        if n_files[words]:
+            words = Finding("read-alike", words=words, n=n_files[words])
+        listed.append((words, ", ".join(trips[:LISTED]) + more))
+    return listed
+
+
+def _on_files(check: TripCheck) -> list[str]:
+    """Return the remarks on how the trip's files were read."""
+    return [sentence for sentence in check.remarks if any(files_of(sentence).values())]
+
+
+def write_checks(checks: Sequence[TripCheck], elsewhere: Sequence[str], output: Path) -> Path:
+    """Write check.json and the page check.html; return the path of the page."""
+    content: dict[str, Any] = {
+        "suspnet_version": __version__,
+        "verdict": verdict(checks, elsewhere),
+        "problems": list(elsewhere),
+        "suspensions": {one.title: one.sentences() for one in suspensions(checks)},
+        "trips": [check.row() for check in checks],
+    }
+    write_json(output / "check.json", content)
+    worst = max((check.shown for check in checks), key=list(TONES).index, default=PROBLEM)
+    page = render(
+        "check.html",
+        title=spoken("Check of recordings"),
+        verdict=content["verdict"],
+        tone=TONES[PROBLEM if elsewhere else worst],
+        elsewhere=elsewhere,
+        suspensions=content["suspensions"],
+        trains=train_words(checks),
+        checks=checks,
+        findings=[[s for s in one.remarks if s not in _on_files(one)] for one in checks],
+        read_as=[words for words, _ in _by_words((one.name, _on_files(one)) for one in checks)],
+        tones=TONES,
+    )
+    return write_atomically(output / "check.html", page.encode("utf-8", errors="replace"))
+
+
+LINKS = ("axle box to bogie frame", "bogie frame to car body")
+DPI = 110
+
+
+def trip_figure(
+    recording: Recording,
+    frequencies_hz: Tensor,
+    spectra: CrossSpectra | None,
+    band_hz: tuple[float, float],
+) -> Figure:
+    """Draw signals and speed of a recording in windows, spectra and coherence with the band.
+
+    `frequencies_hz`: (n_freq,) [Hz]; `spectra`: (3, n_freq), None if no stretch is free of faults.
+    """
+    # not "constrained", which takes two thirds of the time of drawing
+    figure = Figure(figsize=(12.0, 7.0))
+    columns: Any = figure.subfigures(1, 2, width_ratios=(1.15, 1.0))
+    left, right = columns
+    axes: list[Axes] = list(left.subplots(4, 1, sharex=True))
+    left.subplots_adjust(left=0.13, right=0.98, top=0.88, bottom=0.08, hspace=0.12)
+    draw_signals(axes, overview(recording))
+    handles = axes[0].get_legend_handles_labels()
+    left.legend(*handles, loc="upper center", bbox_to_anchor=(0.55, 0.945), ncols=3)
+    left.align_ylabels(axes)
+    upper, lower = right.subplots(2, 1, sharex=True)
+    right.subplots_adjust(left=0.13, right=0.98, top=0.89, bottom=0.08, hspace=0.16)
+    upper.set(ylabel="power density [(m/s²)²/Hz]", title="spectra")
+    lower.set(ylabel="coherence", title="coherence", xlabel="frequency [Hz]", ylim=(0, 1.05))
+    if spectra is None:
+        for axis in (upper, lower):
+            say(axis, "no stretch is long enough and free of faults")
+        return figure
+    hertz = frequencies_hz.numpy()
+    for title, density in zip(CHANNEL_TITLES, spectra.auto.numpy(), strict=True):
+        upper.semilogy(hertz[1:], np.where(density > 0, density, np.nan)[1:], label=title, lw=1)
+    for title, coherence in zip(LINKS, spectra.coherences().numpy(), strict=True):
+        lower.plot(hertz[1:], coherence[1:], label=title, lw=1)
+    for axis, place in ((upper, "lower left"), (lower, "lower right")):
+        axis.axvspan(*band_hz, color="tab:green", alpha=0.08, lw=0, label="vehicle's band")
+        axis.margins(x=0)
+        axis.grid(True, which="major", alpha=0.3)
+        axis.legend(loc=place, fontsize="small")
+    return figure
+
+
+def write_picture(path: Path, figure: Figure, title: str) -> None:
+    """Write a figure as PNG, atomically."""
+    figure.suptitle(spoken(title), fontsize="medium")
+    write_atomically(path, as_png(figure, DPI))

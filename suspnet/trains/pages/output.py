@@ -1,0 +1,349 @@
+"""Output files of a fleet: tables, figures, TensorBoard, metrics and the report."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from matplotlib.figure import Figure
+from tabulate import tabulate
+
+from suspnet.ground.extras import check_extra
+from suspnet.ground.findings import NO_PART, Finding, together
+from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, PARAMETERS, Cause, Severity
+from suspnet.ground.records import OK, TripResult, outputs_of
+from suspnet.ground.storage import write_atomically, write_json, write_table
+from suspnet.ground.wording import count, kilometres
+from suspnet.runs.figures import as_png, data_uri
+from suspnet.runs.language import gettext
+from suspnet.runs.tensorboard import RunLog
+from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm, newest_of
+from suspnet.trains.maintenance.assessment import overall, spoken
+from suspnet.trains.maintenance.life import Life
+from suspnet.trains.maintenance.relative import relative_to_first_healthy
+from suspnet.trains.maintenance.schedule import Plan, joined
+from suspnet.trains.pages import trip_figures
+from suspnet.trains.pages.bogie import bogies_of, bogies_shown
+from suspnet.trains.pages.failing_sensors import LISTED, failing_sensors
+from suspnet.trains.pages.maintenance_figures import health_trend, small_trends
+from suspnet.trains.pages.overview import (
+    REPORT,
+    Evaluated,
+    FleetView,
+    finding,
+    first_words,
+    most_severe,
+    same_columns,
+)
+from suspnet.trains.pages.pdf import write_pdf
+from suspnet.trains.pages.report import Report, write_report
+from suspnet.trains.pages.tables import split_outputs
+from suspnet.trains.pages.templates import render
+from suspnet.trains.pages.trend import trend_of_trips
+from suspnet.trains.pages.xlsx import write_xlsx
+
+KNOWN_ERROR_PERCENT = "rms error %"
+COVERAGE_PERCENT = "intervals hold %"
+
+
+def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
+    """Return a table of all trips, errors where the truth is known, and all reasons and flags."""
+    columns, equal = split_outputs(outputs)
+    of_parts = [name for name in columns if name in BOGIE_PARTS]
+    read = {name for result in results for name in result.estimates}
+    columns = [name for name in columns if name in read and name not in BOGIE_PARTS]
+    rows: list[dict[str, Any]] = []
+    for r in results:
+        row = {"trip": r.trip, "1000 km": r.mileage_km / 1000}
+        row |= {name: r.estimates.get(name) for name in columns}
+        if of_parts:  # a table of its own has the estimates
+            row["worn parts"] = _worn(r, equal)
+        state = "flagged" if r.flags else "" if r.status == OK else r.status
+        rows.append(row | {"averages": r.quality.n_averages, "state": state})
+    header = list(rows[0]) if rows else ["trip"]
+    # errors and coverage below the estimates that they are of
+    for label, values in (
+        (KNOWN_ERROR_PERCENT, errors_percent(results, outputs)),
+        (COVERAGE_PERCENT, coverage_percent(results, outputs)),
+    ):
+        if values:
+            rows.append({"trip": label} | {name: values.get(name) for name in columns})
+    texts = [i for i, name in enumerate(header) if name in ("trip", "worn parts", "state")]
+    cells = [[row.get(name) for name in header] for row in rows]
+    formats = ("", ".1f", *[".4g"] * 20)
+    table = tabulate(cells, header, tablefmt="github", floatfmt=formats, disable_numparse=texts)
+    n_done = sum(r.status == OK for r in results)
+    n_flagged = sum(bool(r.flags) for r in results)
+    have, are = "has" if n_done == 1 else "have", "is" if n_flagged == 1 else "are"
+    trips = count(len(results), "trip")
+    lines = [f"{n_done} of {trips} {have} an estimate, {n_flagged} {are} flagged", table]
+    if of_parts:
+        lines.append(f"\n{_part_table(results, of_parts)}")
+    return "\n".join([*lines, *_reasons(results)])
+
+
+def _worn(result: TripResult, equal: Sequence[str]) -> str:
+    """Return the worn parts of a trip, or what it shows in their place: both sides as equal."""
+    if not result.quality.no_part:
+        return result.worn
+    estimates = result.estimates
+    values = [f"{name} {100 * estimates[name]:.4g}" for name in equal if name in estimates]
+    return f"not read; both sides as equal: {', '.join(values)} %" if values else "not read"
+
+
+def _part_table(results: Sequence[TripResult], parts: Sequence[str]) -> str:
+    """Return a row for each part: first and newest trip [%], and errors where truth is known."""
+    errors, held = errors_percent(results, parts), coverage_percent(results, parts)
+    rows = []
+    for name in parts:
+        done = [r for r in results if name in r.estimates]
+        low, high = (100 * end for end in done[-1].interval(name))
+        ends = [100 * r.estimates[name] for r in (done[0], done[-1])]
+        interval = Finding("span-of-ratios", low=low, high=high)
+        rows.append([name, *ends, interval, errors.get(name), held.get(name)])
+    header = ["part", "first %", "newest %", "interval %", KNOWN_ERROR_PERCENT, COVERAGE_PERCENT]
+    shown = [i for i in range(len(header)) if any(row[i] is not None for row in rows)]
+    cells, names = [[row[i] for i in shown] for row in rows], [header[i] for i in shown]
+    return tabulate(cells, names, tablefmt="github", floatfmt=".4g", disable_numparse=[0, 3])
+
+
+def _reasons(results: Sequence[TripResult]) -> list[str]:
+    """Return a paragraph for each reason and flag with its trips, as Markdown.
+
+    Trips without an estimate or without their parts also say which faults their sensors have.
+    """
+    trips: dict[str, list[str]] = {}
+    for result in results:
+        why = [
+            result.reason or result.flags,
+            result.quality.no_part and Finding(NO_PART, words=result.quality.no_part),
+        ]
+        if result.status != OK or result.quality.no_part:
+            why.append(result.quality.faults)
+        if words := together(why):
+            trips.setdefault(words, []).append(result.trip)
+    return [f"\n{', '.join(names)}: {words}" for words, names in trips.items()]
+
+
+def sensor_lines(results: Sequence[TripResult], alarms: Sequence[Alarm]) -> list[str]:
+    """Return a line for a terminal on each sensor with an alarm, and on each failing one."""
+    lines = [
+        f"{alarm.words} (alarm since {kilometres(alarm.begin_km)})"
+        for alarm in alarms
+        if alarm.cause == Cause.SENSOR and alarm.is_open
+    ]
+    for words, names in failing_sensors(results).items():
+        more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+        lines.append(f"sensor {words} (in {', '.join(names[:LISTED])}{more})")
+    return [f"  {Severity.NOTICE!s:7s}  {line}" for line in lines]
+
+
+def errors_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> dict[str, float]:
+    """Return the rms relative error of each output over trips with known truth, [%]."""
+    errors = {}
+    for name in outputs:
+        both = [r for r in results if name in r.truth and name in r.estimates]
+        ratios = np.array([r.estimates[name] / r.truth[name] for r in both])
+        if both:
+            with np.errstate(over="ignore"):  # a manifest may contain any truth
+                errors[name] = 100 * float(np.sqrt(np.mean((ratios - 1) ** 2)))
+    return errors
+
+
+def coverage_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> dict[str, float]:
+    """Return how often the intervals hold the truth, over trips with known truth, [%].
+
+    Outputs without a trip that has both truth and interval are left out.
+    """
+    coverage = {}
+    for name in outputs:
+        ends = [(*r.interval(name), r.truth[name]) for r in results if name in r.truth]
+        held = [low <= truth <= high for low, high, truth in ends if np.isfinite([low, high]).all()]
+        if held:
+            coverage[name] = 100 * float(np.mean(held))
+    return coverage
+
+
+def write_tables(results: Sequence[TripResult], outputs: tuple[str, ...], output: Path) -> None:
+    """Write trips.parquet and trips.csv, a row a trip, and responses.parquet, a row a bin."""
+    rows = pa.Table.from_pylist([result.row(outputs) for result in results])
+    write_table(rows, output / "trips")
+    tables = []
+    for result in results:
+        if (curves := result.curves) is None:
+            continue
+        names = [result.trip] * len(curves.frequencies_hz)
+        columns: dict[str, Any] = {"trip": names, "frequency_hz": curves.frequencies_hz}
+        for i, link in enumerate(("p", "s")):
+            columns[f"magnitude_{link}"] = np.abs(curves.responses[i])
+            columns[f"phase_rad_{link}"] = np.angle(curves.responses[i])
+            columns[f"coherence_{link}"] = curves.coherences[i]
+            columns[f"deviation_{link}"] = curves.deviations[i]
+        tables.append(pa.table(columns))
+    if tables:
+        stream = io.BytesIO()
+        pq.write_table(pa.concat_tables(tables), stream)
+        write_atomically(output / "responses.parquet", stream.getvalue())
+
+
+def write_pages(report: Report, output: Path, *, draw: bool = True) -> None:
+    """Write figures if `draw`, TensorBoard events, metrics.json and report.html.
+
+    The trend figure is relative to the first of several commissionings.
+    """
+    results, outputs, state = report.results, report.outputs, report.state
+    done = [r for r in results if r.status == OK]
+    # where parts are read, each has a small figure of its own in place of the common trend
+    drawn, small = {}, {}
+    if draw:
+        relative = relative_to_first_healthy(results, report.commissionings)
+        trend = trend_of_trips(relative, state, outputs, report.level, report.commissionings)
+        small = small_trends(trend)
+        drawn = {} if small else {"trend": health_trend(trend)}
+        drawn |= {
+            "responses": trip_figures.trip_responses(results),
+            "signals": trip_figures.trip_signals(done[-1] if done else results[-1]),
+            "quality": trip_figures.quality(results),
+        }
+    with RunLog(output, is_new=True) as run_log:
+        for i, result in enumerate(done):
+            values = result.estimates | {"n_averages": result.quality.n_averages}
+            step = i if np.isnan(result.mileage_km) else round(result.mileage_km)
+            run_log.scalars("trips", values, step)
+        named = {f"trend_{name}": figure for name, figure in small.items()}
+        for name, figure in (drawn | named).items():
+            run_log.figure(name, figure, output / "figures")
+        run_log.text("trips", summary(results, outputs))
+        run_log.text("verdict", spoken(state.assessments))
+    # NumPy's numbers become plain ones on the way through JSON
+    metrics = json.loads(json.dumps(_metrics(report), default=float))
+    write_json(output / "metrics.json", metrics)
+    write_report(output / REPORT, gettext("Suspension report"), report, drawn, small)
+
+
+def _metrics(report: Report) -> dict[str, Any]:
+    results, state = report.results, report.state
+    severity, sentence = overall(state.assessments)
+    return {
+        "severity": str(severity),
+        "verdict": sentence,
+        "n_trips": len(results),
+        "n_estimated": sum(r.status == OK for r in results),
+        "n_flagged": sum(bool(r.flags) for r in results),
+        "rms_error_percent": errors_percent(results, report.outputs),
+        "coverage_percent": coverage_percent(results, report.outputs),
+        "limits": {
+            name: state.limits[name].to_dict() for name in report.outputs if name in state.limits
+        },
+        "trends": [
+            asdict(own.trend)
+            | {"changed": own.trend.changed, "severity": str(own.severity), "words": own.words}
+            | {"now": own.now, "life": _life_row(own.life), "unknown_life": own.unknown_life}
+            for own in state.assessments
+        ],
+        "commissionings": [asdict(commissioning) for commissioning in report.commissionings],
+        "maintenance": [asdict(event) for event in state.series.events],
+        "alarms": [_alarm_row(alarm, report.seen) for alarm in state.watched.alarms],
+        "details": dict(report.details),
+    }
+
+
+def write_overview(done: Sequence[Evaluated], outputs: Sequence[str], output: Path) -> str:
+    """Write overview.parquet, .csv and .html of a folder, and return the overview as text.
+
+    `done` is in the order of the rows; last estimates are shown of the parameters `outputs`.
+    """
+    rows = [suspension.row(outputs) for suspension in done]
+    write_table(pa.Table.from_pylist(rows), output / "overview")
+    page = render(
+        "overview.html",
+        rows=rows,
+        outputs=outputs,
+        finding=finding(rows),
+        most_severe=most_severe(rows),
+        **bogies_of(done),
+    )
+    write_atomically(output / "overview.html", page)
+    shown = ["folder", "suspension", "bogie", "side", "severity", "parameter", "n_trips", "reason"]
+    if any(row["sensors"] for row in rows):
+        shown.append("sensors")
+    table = tabulate([[row[key] for key in shown] for row in rows], shown, tablefmt="github")
+    return f"{first_words(rows)}\n{table}"
+
+
+def check_documents(*, pdf: bool, xlsx: bool) -> None:
+    """Raise ValueError if the package that writes one of these is missing."""
+    if pdf:
+        check_extra("pdf", "weasyprint")
+    if xlsx:
+        check_extra("xlsx", "xlsxwriter")
+
+
+def write_documents(done: Sequence[Evaluated], output: Path, *, pdf: bool, xlsx: bool) -> None:
+    """Write each page of a folder's evaluation as PDF too, and all its trips as tables.xlsx."""
+    if pdf:
+        pages = [output / REPORT, output / "overview.html"]
+        pages += [output / own.name / REPORT for own in done if not own.error]
+        for page in dict.fromkeys(pages):
+            if page.is_file():
+                write_pdf(page)
+    if xlsx:
+        results = [result for own in done for result in own.results]
+        outputs = outputs_of(results)
+        overview = [own.row(outputs) for own in done]
+        trips = [result.row(outputs) for result in results]
+        write_xlsx({"overview": overview, "trips": trips}, output / "tables.xlsx")
+
+
+def write_fleet(view: FleetView, plan: Plan, figure: Figure, output: Path) -> None:
+    """Write the files of a fleet: overview.html, .csv and .parquet, plan.csv and .parquet.
+
+    The page holds overview, plan with its calendar `figure`, and sister suspensions; it is
+    self-contained.
+    """
+    write_table(pa.Table.from_pylist(same_columns(view.rows)), output / "overview")
+    jobs: list[dict[str, Any]] = plan.rows()
+    if jobs:
+        write_table(pa.Table.from_pylist(jobs), output / "plan")
+    write_atomically(output / "calendar.png", as_png(figure, 150))
+    page = render(
+        "fleet.html",
+        rows=view.rows,
+        finding=finding(view.rows),
+        most_severe=most_severe(view.rows),
+        plan=plan,
+        jobs=joined(jobs),
+        calendar=data_uri(figure),
+        sisters=[[view.rows[i] for i in car] for car in view.cars],
+        parameters=[name for name in PARAMETERS if name != BODY_MASS],
+        **bogies_shown(view),
+    )
+    write_atomically(output / "overview.html", page.encode("utf-8", errors="replace"))
+
+
+def _life_row(life: Life | None) -> dict[str, Any] | None:
+    """Return a remaining life for JSON, null for an infinite one."""
+    if life is None:
+        return None
+    ends = dict(zip(("low", "high"), life.interval_km(), strict=True))
+    ends["median"] = life.quantile_km(0.5)
+    return {"model": life.model} | {
+        f"{name}_km": km if np.isfinite(km) else None for name, km in ends.items()
+    }
+
+
+def _alarm_row(alarm: Alarm, seen: Sequence[Acknowledgement]) -> dict[str, Any]:
+    """Return an alarm for JSON, with the name of the person who acknowledged it last."""
+    by = newest_of(alarm, seen)
+    return asdict(alarm) | {
+        "severity": str(alarm.severity),
+        "end_km": None if alarm.is_open else alarm.end_km,
+        "seen_by": by.by if by else "",
+    }

@@ -1,0 +1,336 @@
+"""The report page of one suspension, for its maintainers."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from suspnet.ground.findings import Finding
+from suspnet.ground.parameters import BODY_MASS, KIND_NAMES, Severity, part_words
+from suspnet.ground.records import INTERVAL_LEVEL, OK, Commissioning, TripResult, by_mileage
+from suspnet.ground.storage import write_atomically
+from suspnet.ground.wording import span, thousands, unbroken
+from suspnet.runs.figures import data_uri
+from suspnet.runs.language import N_, decimal, gettext, spoken
+from suspnet.trains.maintenance.alarms import Acknowledgement, newest_of
+from suspnet.trains.maintenance.assessment import Assessment, joined, overall, worst_first
+from suspnet.trains.maintenance.series import N_LAST, Event
+from suspnet.trains.maintenance.state import State
+from suspnet.trains.pages.bogie import bogie_of, small_figures, why_no_part
+from suspnet.trains.pages.failing_sensors import failing_words
+from suspnet.trains.pages.tables import sensor_rows, trip_table
+from suspnet.trains.pages.templates import KILO, SEVERITIES, render, with_unit
+
+ROLES = {
+    "k_p": N_(", between axle box and bogie frame."),
+    "c_p": N_(", between axle box and bogie frame."),
+    "k_s": N_(", between bogie frame and car body; often an air spring."),
+    "c_s": N_(", between bogie frame and car body."),
+    "M_s": N_(": it varies with the payload and is no sign of faults."),
+}
+CAPTIONS = {
+    "trend": (
+        N_("Health along the mileage"),
+        N_(
+            "Each dot is a trip and 100 % is healthy: dots that stay level mean no change; look "
+            "for a line that leaves its level, and at the newest trips. Dashed lines are the "
+            "limits, where they are near. Red ticks at the bottom are trips without an "
+            "estimate.{intervals}{flags}"
+        ),
+    ),
+    "responses": (
+        N_("How the suspension passes vibration on"),
+        N_(
+            "Above: by how much each suspension amplifies vibration of each frequency, one line "
+            "for each trip; a suspension that does not change draws the same line again and "
+            "again. Below: the coherence, which is near 1 where the sensors explain each other."
+        ),
+    ),
+    "signals": (
+        N_("Signals of one trip"),
+        N_(
+            "Grey is the range of the measured vibration, red its mean. A channel that is flat, "
+            "cut off at a straight edge, or unlike the others points to a sensor, not to the "
+            "suspension."
+        ),
+    ),
+    "quality": (
+        N_("Quality of the recordings"),
+        N_(
+            "More averages, a coherence nearer to 1 and a larger usable share make the estimates "
+            "of a trip more certain."
+        ),
+    ),
+}
+SMALL_SHOWN = N_(
+    "each dot is a trip and 100 % is healthy, the line is the median of five neighbouring trips, "
+    "near the ends of fewer. "
+    "Dashed lines are the limits, where they are near; a triangle at the top is the start of an "
+    "alarm, a red tick at the bottom a trip without an estimate, a red bar there where the act "
+    "limit will be passed.{intervals}{flags}"
+)
+INTERVALS_SHOWN = N_(
+    " The bar through a dot is its {level} % interval: on {level} of 100 trips the true value lies "
+    "within it, if vehicle and recording are like those of the training. A bar that cannot be "
+    "seen is shorter than the dot."
+)
+FLAGS_SHOWN = N_(
+    " A hollow circle is a flagged trip: it shows something outside the training, and its "
+    "place may be wrong. A triangle at an edge is a trip beyond it, with its value."
+)
+RECOMMISSIONED = N_(
+    "Commissioned again: {}. Severities, medians and changes are of the trips since; each trip's "
+    "percentages are of its own healthy values, those in the figure of the first ones."
+)
+MAINTAINED = N_("Maintenance: {}. Severities, medians and changes are of the trips since the last.")
+NAMED = 3  # largest number of parameters that the first sentence of a report names
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """Content of the files of one suspension.
+
+    `results` are in the order of the mileage; `outputs` are the columns of the trip table.
+    `details` are model, settings, version and date; `level` is the probability of the intervals.
+    `commissionings` are given if there are several; the state covers the trips since the last one.
+    `seen` are acknowledgements of the alarms.
+    """
+
+    results: list[TripResult]
+    outputs: tuple[str, ...]
+    state: State
+    details: Mapping[str, str] = field(default_factory=dict)
+    level: float = INTERVAL_LEVEL
+    commissionings: Sequence[Commissioning] = ()
+    seen: Sequence[Acknowledgement] = ()
+
+
+def write_report(
+    path: Path,
+    title: str,
+    report: Report,
+    figures: Mapping[str, Figure],
+    small: Mapping[str, Figure] | None = None,
+) -> Path:
+    """Write one self-contained HTML file atomically; return its path.
+
+    The figures "trend", "responses", "signals" and "quality" come first, in this order and with an
+    explanation; others follow under their own names. `small` are the trends of each parameter where
+    parts of a bogie are read.
+    """
+    state, assessments = report.state, report.state.assessments
+    trips = by_mileage(report.results)
+    severity, finding = overall(assessments)
+    findings = joined(worst_first(assessments))
+    # remarks on the trips, each a sentence or empty
+    doubts, unread = _doubts(trips), _unread(trips)
+    wheels, dead = wheels_finding(trips), failing_words(trips)
+    sides = worn_finding(trips) or sides_finding(trips)
+    table = trip_table(trips, report.outputs, report.level)
+    # captions explain intervals and flags only where there are any
+    shown = {
+        "intervals": gettext(INTERVALS_SHOWN).format(level=table.level) if table.level else "",
+        "flags": gettext(FLAGS_SHOWN) if doubts else "",
+    }
+    alarms = sorted(state.watched.alarms, key=lambda a: (not a.is_open, -a.severity, a.begin_km))
+    tone = SEVERITIES[severity][0]
+    remarks = (doubts, unread, findings, sides, wheels, dead)
+    page = render(
+        "report.html",
+        title=title,
+        headline=_headline(trips),
+        # without an alarm but with remarks the page is neutral
+        tone="plain" if tone == "good" and any(remarks) else tone,
+        named=named_first(assessments, trips),
+        finding=finding,
+        doubts=doubts,
+        unread=unread,
+        sides=sides,
+        wheels=wheels,
+        dead=dead,
+        findings=findings,
+        assessments=[list(run) for _, run in groupby(assessments, lambda a: (a.severity, a.words))],
+        limits=state.limits,
+        alarms=[(alarm, newest_of(alarm, report.seen)) for alarm in alarms],
+        bogie=bogie_of(state),
+        no_part=why_no_part(trips, report.outputs),
+        small=small_figures(
+            state, {name: data_uri(drawn) for name, drawn in (small or {}).items()}
+        ),
+        small_words=gettext(SMALL_SHOWN).format(**shown),
+        figures=[_embedded(name, figures[name], shown) for name in _ordered(figures)],
+        table=table,
+        sensors=sensor_rows(state.series),
+        since_when=_since_when(report.commissionings, state.series.events),
+        healthy=_healthy(trips),
+        level=table.level,
+        healthy_level=f"{100 * report.level:g}",
+        kinds=KIND_NAMES,
+        roles=ROLES,
+        details=report.details,
+    )
+    return write_atomically(path, page.encode("utf-8", errors="replace"))
+
+
+def named_first(assessments: Sequence[Assessment], trips: Sequence[TripResult]) -> str:
+    """Return the first sentence of a report with a finding, which names it; empty without one.
+
+    It names the parameters of the largest severity, ``NAMED`` at most, and the suspension.
+    """
+    severity = overall(assessments)[0]
+    if severity < Severity.NOTICE:
+        return ""
+    names = [
+        part_words(own.parameter)
+        for own in assessments
+        if own.severity == severity and own.parameter != BODY_MASS
+    ]
+    text = f"{gettext(SEVERITIES[severity][1])}: " + "; ".join(map(spoken, names[:NAMED]))
+    if len(names) > NAMED:
+        text += " " + gettext("and %(n)s more") % {"n": len(names) - NAMED}
+    places = dict.fromkeys(spoken(str(trip.place)) for trip in trips if trip.place.suspension)
+    if not places:
+        return text
+    where = gettext("suspension %(name)s") % {"name": "; ".join(places)}
+    return f"{text} ({where})"
+
+
+def sides_finding(trips: Sequence[TripResult]) -> str:
+    """Return a sentence on the two sides, from the last trips; empty without a finding.
+
+    `trips` are in the order of the mileage.
+    """
+    on, words = _on_last(trips, "sides")
+    return words and Finding("sides-differ", trips=on, words=words)
+
+
+def worn_finding(trips: Sequence[TripResult]) -> str:
+    """Return a sentence on the worn parts of a bogie, from the last trips; empty without any.
+
+    `trips` are in the order of the mileage.
+    """
+    on, words = _on_last(trips, "worn")
+    return words and Finding("worn-on", trips=on, words=words)
+
+
+def _on_last(trips: Sequence[TripResult], name: str) -> tuple[str, str]:
+    """Return on which of the last trips a field has text, and the newest; empty without any."""
+    last = [r for r in trips if r.status == OK][-N_LAST:]
+    affected = [r for r in last if getattr(r, name)]
+    if not affected:
+        return "", ""
+    on = Finding("last-trip")
+    if len(last) > 1:
+        on = Finding("last-trips", n=len(affected), n_last=len(last))
+    return Finding("on-newest", trips=on, trip=affected[-1].trip), getattr(affected[-1], name)
+
+
+def wheels_finding(trips: Sequence[TripResult]) -> str:
+    """Return a sentence on out-of-round wheels, from the last trips; empty without a finding."""
+    last = list(trips)[-N_LAST:]
+    affected = [r for r in last if r.quality.wheels]
+    if not affected:
+        return ""
+    kind = "wheels-on-trips" if len(last) > 1 else "wheels-on-trip"
+    newest = {"trip": affected[-1].trip, "words": affected[-1].quality.wheels}
+    return Finding(kind, **newest, n=len(affected), n_last=len(last))
+
+
+def _since_when(states: Sequence[Commissioning], events: Sequence[Event]) -> str:
+    """Return since when the assessments count, as text; empty if since the first trip."""
+    sentences = []
+    if states:
+        words = "; ".join(spoken(state.words) for state in states[1:])
+        sentences.append(gettext(RECOMMISSIONED).format(words))
+    if events:
+        words = "; ".join(spoken(str(event)) for event in events)
+        sentences.append(gettext(MAINTAINED).format(words))
+    return " ".join(sentences)
+
+
+def _headline(trips: Sequence[TripResult]) -> dict[str, str]:
+    mileage = [r.mileage_km for r in trips if math.isfinite(r.mileage_km)]
+    between = gettext("unknown")
+    if mileage:
+        ends = span(thousands(min(mileage)), thousands(max(mileage)))
+        between = unbroken(f"{spoken(ends)} km")
+    starts = sorted(r.start for r in trips if r.start)
+    dates = spoken(span(starts[0][:10], starts[-1][:10])) if starts else ""
+    done = sum(r.status == OK for r in trips)
+    flagged = sum(bool(r.flags) for r in trips)
+    misfits = [r.quality.misfit for r in trips if math.isfinite(r.quality.misfit)]
+    misfit = ""
+    if misfits:
+        ends = span(*(f"{of(misfits):.2f}" for of in (min, max)))
+        misfit = gettext("%(between)s times the noise; 1 is noise alone") % {
+            "between": spoken(ends)
+        }
+    texts = {
+        N_("Vehicle"): ", ".join(dict.fromkeys(r.vehicle for r in trips if r.vehicle)),
+        N_("Suspension"): "; ".join(
+            dict.fromkeys(spoken(str(r.place)) for r in trips if r.place.suspension)
+        ),
+        N_("Mileage"): between,
+        N_("Dates"): dates,
+        N_("Trips"): gettext("%(n)s, of which %(done)s with an estimate")
+        % {"n": len(trips), "done": done}
+        + (", " + gettext("%(n)s of these flagged") % {"n": flagged} if flagged else ""),
+        N_("Misfit"): misfit,
+    }
+    return {label: text for label, text in texts.items() if text}
+
+
+def _doubts(trips: Sequence[TripResult]) -> str:
+    """Return a sentence on flagged trips; empty if there is none."""
+    done, flagged = sum(r.status == OK for r in trips), sum(bool(r.flags) for r in trips)
+    if not flagged:
+        return ""
+    why = _commonest(r.flags for r in trips if r.flags)
+    if flagged == done > 1:
+        return Finding("all-flagged", n=done, why=why)
+    return Finding("some-flagged", n=flagged, trips=Finding("trips", n=done), why=why)
+
+
+def _unread(trips: Sequence[TripResult]) -> str:
+    """Return a sentence on trips without an estimate; empty if there is none, or no other trip."""
+    reasons = [r.reason for r in trips if r.status != OK]
+    if len(reasons) in (0, len(trips)):
+        return ""
+    of_all, why = Finding("trips", n=len(trips)), _commonest(reasons)
+    return Finding("no-estimate-of", n=len(reasons), trips=of_all, why=why)
+
+
+def _commonest(reasons: Iterable[str]) -> str:
+    """Return the reason that most trips have."""
+    (most, n), *others = Counter(reasons).most_common()
+    return Finding("n-of-them", n=n, words=most) if others else most
+
+
+def _ordered(figures: Mapping[str, Figure]) -> list[str]:
+    explained = [name for name in CAPTIONS if name in figures]
+    return explained + [name for name in figures if name not in CAPTIONS]
+
+
+def _embedded(name: str, figure: Figure, shown: Mapping[str, str]) -> dict[str, Any]:
+    """Return a figure's heading, explanation of what is `shown`, and image as a data URI."""
+    heading, explanation = CAPTIONS.get(name, (name.replace("_", " ").capitalize(), ""))
+    words = gettext(explanation).format(**shown)
+    return {"heading": gettext(heading), "explanation": words, "image": data_uri(figure)}
+
+
+def _healthy(trips: Sequence[TripResult]) -> dict[str, str]:
+    newest = next((r for r in reversed(trips) if r.healthy_si), TripResult("", ""))
+    texts = {}
+    for name, value in newest.healthy_si.items():
+        half = 100 * newest.healthy_half_widths.get(name, 0.0)
+        texts[name] = with_unit(f"{value / KILO:.4g}", name)
+        if half > 0:
+            texts[name] += f" ±\N{NO-BREAK SPACE}{decimal(f'{half:.2g}')}\N{NO-BREAK SPACE}%"
+    return texts

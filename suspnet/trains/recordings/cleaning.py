@@ -1,0 +1,251 @@
+"""Faults of one accelerometer: detected in its samples, repaired if short, otherwise marked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from suspnet.ground.findings import at, of
+from suspnet.ground.types import BoolArray, FloatArray
+from suspnet.trains.recordings import faults as detect
+
+KINDS = (
+    *("gap", "spike", "saturation", "constant", "offset", "drift", "zero", "jump", "stuck"),
+    *("loose", "clock", "dead"),
+)
+"""Kinds of faults; zero, jump and stuck concern the speed, the last three several sensors."""
+CORE_SAMPLES = 2**18
+"""Approximate number of samples checked at once, which fit in the processor's cache."""
+SEGMENT_S, SEGMENT_SAMPLES = 1.0, 64
+"""Length of a segment for level and spread [s], and its least number of samples."""
+SPIKE_DEVIATIONS, SPIKE_SAMPLES = 25.0, 3
+"""Least height of a spike above the level on both sides, in robust standard deviations (1.4826
+times the median absolute deviation of a segment), and its largest number of samples; anything
+longer counts as motion."""
+GAP_SAMPLES = 3
+"""Number of samples of the longest gap that is repaired."""
+SATURATION_FRACTION, SATURATION_SAMPLES = 0.999, 4
+"""Fraction of the sensor's range from which a sample is saturated; if no range is given, least
+number of equal samples in a row at the highest or lowest value of a window."""
+CONSTANT_S = 0.1
+"""Duration beyond which identical values are marked as those of a dead sensor, [s]."""
+DRIFT_FRACTION = 0.5
+"""Fraction of the standard deviation above which a mean, or a change of level between the first and
+the last tenth, is reported."""
+ODD_MEAN_M_PER_S2, LARGEST_MEAN_M_PER_S2 = 30.0, 5000.0
+"""Means above which a sensor's unit is doubted, and refused: gravity has 9.81 m/s2, a zero point
+that was not subtracted about the sensor's range, and gravity in mg read as g 9,810 m/s2."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """All samples of one channel that share one kind of fault.
+
+    `kind` is one of ``KINDS``; the channel may be "speed". `seconds` is the total duration and
+    `first_s` the first occurrence on the trip's clock. `repaired` samples were interpolated, or a
+    later high-pass filter removes the fault (offset and drift); others are marked as unusable.
+    `size_m_per_s2` is the mean of an offset or the change of level of a drift. `words` describes a
+    clock fault, or a loose or dead sensor.
+    """
+
+    channel: str
+    kind: str
+    n_samples: int
+    seconds: float
+    first_s: float
+    repaired: bool
+    size_m_per_s2: float | None = None
+    words: str = ""
+
+    def __str__(self) -> str:
+        if self.words:
+            return of(self.channel, self.words)
+        if (size := self.size_m_per_s2) is not None:
+            is_odd = self.kind == "offset" and abs(size) > ODD_MEAN_M_PER_S2
+            kind = "odd-offset" if is_odd else "harmless"
+            return at(self.channel, kind, kind=self.kind, m_per_s2=size)
+        values = {"kind": self.kind, "seconds": self.seconds, "first_s": self.first_s}
+        fate = "repaired" if self.repaired else "not usable"
+        return at(self.channel, "sample", n=self.n_samples, fate=fate, **values)
+
+
+class Cleaner:
+    """Cleans one channel block by block, and counts its faults.
+
+    The result does not depend on how the channel is cut into blocks. `range_m_per_s2` is the
+    largest magnitude that the sensor can measure. `late` delays cleaning by a share, 0 to 1, of a
+    window: different shares prevent that hundreds of channels are cleaned in the same second.
+    """
+
+    def __init__(
+        self, channel: str, rate_hz: float, range_m_per_s2: float | None = None, late: float = 0.0
+    ) -> None:
+        self.channel, self.rate_hz, self.range_m_per_s2 = channel, rate_hz, range_m_per_s2
+        self.segment = max(round(rate_hz * SEGMENT_S), SEGMENT_SAMPLES)
+        self.n_samples, self.n_bad = 0, 0
+        self.lowest, self.highest = math.inf, -math.inf
+        self._counts: dict[tuple[str, bool], tuple[int, int]] = {}  # kind, repaired: count, first
+        self._levels: list[FloatArray] = []
+        self._sum = self._sum_of_squares = 0.0
+        self._longest_constant = int(CONSTANT_S * rate_hz + 1e-9)
+        context = math.ceil(max(self._longest_constant, 1) / self.segment) * self.segment
+        core = math.ceil(max(CORE_SAMPLES, context) / self.segment) * self.segment
+        self._windows = _Windows(core, context, int(late * core))
+
+    def clean(self, blocks: Iterable[FloatArray]) -> Iterator[tuple[FloatArray, BoolArray]]:
+        """Yield values without NaN [m/s2] and a mask of bad ones, in blocks of other sizes."""
+        for block in blocks:
+            yield from self.push(block)
+        yield from self.finish()
+
+    def push(self, block: FloatArray) -> Iterator[tuple[FloatArray, BoolArray]]:
+        """Yield what `clean` does for the windows that the next samples [m/s2] complete."""
+        for window in self._windows.push(block):
+            yield self._cleaned(*window)
+
+    def finish(self) -> Iterator[tuple[FloatArray, BoolArray]]:
+        """Yield what `clean` does for the remaining samples."""
+        for window in self._windows.finish():
+            yield self._cleaned(*window)
+
+    def _cleaned(self, window: FloatArray, lead: int, length: int) -> tuple[FloatArray, BoolArray]:
+        """Return values and bad samples of the core of a window: `length` samples from `lead`."""
+        values, bad, masks, centre = self._check(window)
+        inside = slice(lead, lead + length)
+        for (kind, repaired), mask in masks.items():
+            self._count(kind, repaired, mask[inside])
+        first = lead // self.segment
+        self._levels.append(centre[first : first + math.ceil(length / self.segment)])
+        self._add(values[inside], bad[inside])
+        return values[inside], bad[inside]
+
+    def state(self) -> dict[str, Any]:
+        """Return arrays and JSON-able values from which `restore` continues."""
+        return {
+            "pending": np.concatenate([np.empty(0), *self._windows.pending]),
+            "levels": np.concatenate([np.empty(0), *self._levels]),
+            "lead": self._windows.lead,
+            "sums": [self.lowest, self.highest, self._sum, self._sum_of_squares],
+            "counts": [self.n_samples, self.n_bad],
+            "found": [[*kind, *counts] for kind, counts in self._counts.items()],
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from the state of a cleaner of the same channel."""
+        self._windows.pending = [state["pending"]]
+        self._windows.held, self._windows.lead = len(state["pending"]), state["lead"]
+        self._levels = [state["levels"]]
+        self.lowest, self.highest, self._sum, self._sum_of_squares = state["sums"]
+        self.n_samples, self.n_bad = state["counts"]
+        self._counts = {(kind, fixed): (n, first) for kind, fixed, n, first in state["found"]}
+
+    def _check(
+        self, window: FloatArray
+    ) -> tuple[FloatArray, BoolArray, dict[tuple[str, bool], BoolArray], FloatArray]:
+        """Return filled values, bad samples, masks by (kind, repaired), levels of the segments."""
+        gap = detect.find_gaps(window)
+        filled = detect.fill(window, gap)
+        centre, spread = detect.local_level(filled, self.segment)
+        # motion may start within a segment: use the widest spread of it and its neighbours
+        padded = np.pad(spread, 1, mode="edge")
+        widest = np.maximum(np.maximum(padded[:-2], spread), padded[2:])
+        reach = SPIKE_DEVIATIONS * widest
+        spike = detect.find_spikes(filled, self.segment, centre, reach, SPIKE_SAMPLES)
+        constant = detect.find_constant(window, self._longest_constant)
+        # without a range, only clipping shows saturation; gaps and dead sensors look alike there
+        if self.range_m_per_s2 is None:
+            saturation = detect.find_clipping(filled, SATURATION_SAMPLES) & ~(gap | constant)
+        else:
+            threshold = SATURATION_FRACTION * self.range_m_per_s2
+            saturation = detect.find_saturation(filled, threshold) & ~gap
+        short = detect.paint(len(gap), *detect.runs(gap, at_most=GAP_SAMPLES))
+        bad = (gap & ~short) | saturation | constant
+        masks = {
+            ("gap", True): short,
+            ("gap", False): gap & ~short,
+            ("spike", True): spike & ~(bad | gap),
+            ("saturation", False): saturation,
+            ("constant", False): constant,
+        }
+        return detect.fill(filled, bad | spike), bad, masks, centre
+
+    def _count(self, kind: str, repaired: bool, mask: BoolArray) -> None:
+        if count := int(np.count_nonzero(mask)):
+            first_here = self.n_samples + int(mask.argmax())
+            before, first = self._counts.get((kind, repaired), (0, first_here))
+            self._counts[kind, repaired] = (before + count, first)
+
+    def _add(self, values: FloatArray, bad: BoolArray) -> None:
+        n_bad = int(np.count_nonzero(bad))
+        self.n_samples += len(values)
+        self.n_bad += n_bad
+        self.lowest = min(self.lowest, float(values.min()))
+        self.highest = max(self.highest, float(values.max()))
+        good = values[~bad] if n_bad else values
+        self._sum += float(good.sum())
+        # not BLAS: it would start threads and wait for them longer than the sum takes
+        self._sum_of_squares += float(np.einsum("i,i->", good, good))
+
+    @property
+    def mean(self) -> float:
+        """Mean of the good samples so far, [m/s2]; NaN without one."""
+        n_good = self.n_samples - self.n_bad
+        return self._sum / n_good if n_good else math.nan
+
+    def faults(self, start_s: float = 0.0) -> tuple[Fault, ...]:
+        """Return the faults so far, sorted by ``KINDS``; the first sample is at `start_s`."""
+        faults = [
+            Fault(self.channel, kind, n, n / self.rate_hz, start_s + first / self.rate_hz, repaired)
+            for (kind, repaired), (n, first) in self._counts.items()
+        ]
+        if n_good := self.n_samples - self.n_bad:
+            rms = math.sqrt(max(self._sum_of_squares / n_good - self.mean * self.mean, 0.0))
+            whole = self.n_samples, self.n_samples / self.rate_hz, start_s, True
+            for kind, size in (("offset", self.mean), ("drift", self._drift())):
+                if abs(size) > DRIFT_FRACTION * rms:
+                    faults.append(Fault(self.channel, kind, *whole, size))
+        return tuple(sorted(faults, key=lambda f: (KINDS.index(f.kind), not f.repaired)))
+
+    def _drift(self) -> float:
+        """Return the median level of the last tenth minus that of the first, [m/s2]."""
+        levels = np.concatenate(self._levels)
+        tenth = math.ceil(len(levels) / 10)
+        return float(np.median(levels[-tenth:]) - np.median(levels[:tenth]))
+
+
+class _Windows:
+    """Cuts a stream into windows: consecutive cores with `context` samples on both sides.
+
+    It yields (window, samples before its core, samples of its core). A window is delayed until
+    `late` more samples than it needs have been received.
+    """
+
+    def __init__(self, core: int, context: int, late: int) -> None:
+        self.core, self.context, self.late = core, context, late  # core >= context
+        self.pending: list[FloatArray] = []
+        self.held = self.lead = 0
+
+    def push(self, block: FloatArray) -> Iterator[tuple[FloatArray, int, int]]:
+        """Yield the windows that the next samples complete."""
+        self.pending.append(block)
+        self.held += len(block)
+        if self.held >= self.lead + self.core + self.context + self.late:
+            yield from self._complete()
+
+    def _complete(self) -> Iterator[tuple[FloatArray, int, int]]:
+        buffer, size = np.concatenate([np.empty(0), *self.pending]), self.core + self.context
+        # each window after the first removes `core` samples from the buffer
+        while len(buffer) >= self.lead + size:
+            yield buffer[: self.lead + size], self.lead, self.core
+            buffer, self.lead = buffer[self.lead + self.core - self.context :], self.context
+        self.pending, self.held = [buffer.copy()], len(buffer)  # a view would keep all alive
+
+    def finish(self) -> Iterator[tuple[FloatArray, int, int]]:
+        """Yield the remaining windows, of which the last may have a shorter core."""
+        yield from self._complete()
+        if self.held > self.lead:
+            yield self.pending[0], self.lead, self.held - self.lead

@@ -1,0 +1,130 @@
+"""Columns of data files of all formats, read block by block; ``FORMATS`` lists the formats."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from suspnet.ground.findings import Finding
+from suspnet.ground.storage import open_plain
+from suspnet.trains.recordings.array_files import open_hdf5, open_mat
+from suspnet.trains.recordings.columns import BLOCK, Block, OpenFile, Reader, check_samples, choose
+from suspnet.trains.recordings.csv_files import open_csv, open_parquet
+from suspnet.trains.recordings.errors import TripError, opening
+from suspnet.trains.recordings.logger_files import open_tdms, open_uff, open_wav
+from suspnet.trains.recordings.manifest_keys import CsvDialect
+from suspnet.trains.recordings.mdf_files import open_mdf
+from suspnet.trains.recordings.reader_process import in_own_process
+
+
+@contextmanager
+def open_file(path: Path, csv: CsvDialect | None = None) -> Iterator[OpenFile]:
+    """Open a data file: its columns with the units, rates and times that it states.
+
+    The suffix, one of ``READERS``, determines the format; `csv` states how a CSV file is written.
+    Opening and reading raise TripError if the file is missing, empty, damaged or of another format,
+    or the package that reads it is not installed.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in READERS:
+        values = {"suffix": repr(suffix), "suffixes": sorted(READERS)}
+        raise TripError(Finding("files-of-type", path=path, **values))
+    reader = READERS[suffix]
+    if csv is not None:
+        if suffix not in CSV_SUFFIXES:
+            raise TripError.at(path, "csv-for-files", suffixes=list(CSV_SUFFIXES))
+        reader = partial(open_csv, stated=csv)
+    with opening(path):
+        try:
+            with open_plain(path) as stream:
+                is_empty = not stream.read(1)
+        except FileNotFoundError as error:
+            raise TripError.at(path, "no-such-file") from error
+    if is_empty:
+        raise TripError(Finding("empty", path=path))
+    with ExitStack() as stack:
+        with _named(path):
+            file = stack.enter_context(reader(path))
+        yield file
+
+
+def open_columns(
+    path: Path, columns: Sequence[str | None], csv: CsvDialect | None = None
+) -> Iterator[Block]:
+    """Yield columns of a file as arrays (n_samples,), in blocks of at most ``BLOCK`` samples.
+
+    TDMS channels are named "group/channel", columns of a matrix "name[0]", fields of a struct
+    "struct.field"; None is the only column not named. Arrays are float64, NaN where missing, or
+    datetime64[ns] for time stamps. Nothing is ever unpickled. All formats except UFF, WAV of 24
+    bits and MAT before version 7.3 are read piece by piece, so a file may be larger than memory.
+    The first block raises TripError if the file cannot be read, or a column is missing, ambiguous
+    or not numeric.
+    """
+    with open_file(path, csv) as file:
+        yield from read_columns(path, file, columns)
+
+
+def read_columns(path: Path, file: OpenFile, columns: Sequence[str | None]) -> Iterator[Block]:
+    """Yield columns of an open file in blocks of at most ``BLOCK`` samples; None: the only one."""
+    n_samples = 0
+    with _named(path):
+        names = choose(path, file, columns)
+        for block in file.read(names):
+            for start in range(0, len(block[0]), BLOCK):
+                yield tuple(column[start : start + BLOCK] for column in block)
+            n_samples += len(block[0])
+            check_samples(path, n_samples)
+    if n_samples == 0:
+        raise TripError(Finding("empty-columns", path=path))
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Turn the errors of readers on damaged files into TripError with the name of the file.
+
+    Libraries raise errors of any class on damaged files.
+    """
+    try:
+        yield
+    except TripError:
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split())[:200]
+        suffix = path.suffix.lower()
+        raise TripError(Finding("file-damaged", path=path, suffix=suffix, reason=reason)) from error
+
+
+@dataclass(frozen=True)
+class Format:
+    """One format of data files: the suffixes of its files, and the function that opens them.
+
+    `library` is a package that this function imports. It runs in a confined process, as binary
+    files declare sizes and may crash a library, unless `is_confined` is False.
+    """
+
+    suffixes: tuple[str, ...]
+    open: Reader
+    library: str | None = None
+    is_confined: bool = True
+
+
+CSV_SUFFIXES = (".csv", ".txt", ".tsv", ".asc")
+FORMATS = (
+    Format((".parquet",), open_parquet, "pandas"),  # Arrow imports it for its first array
+    Format(CSV_SUFFIXES, open_csv, is_confined=False),
+    Format((".mat",), open_mat, "h5py"),
+    Format((".h5", ".hdf5"), open_hdf5, "h5py"),
+    Format((".tdms",), open_tdms, "nptdms"),
+    Format((".mf4", ".mdf"), open_mdf, "asammdf"),
+    Format((".uff", ".unv"), open_uff, "pyuff"),
+    Format((".wav",), open_wav),
+)
+READERS: dict[str, Reader] = {
+    suffix: in_own_process(form.open, form.library) if form.is_confined else form.open
+    for form in FORMATS
+    for suffix in form.suffixes
+}
+"""Readers by suffix."""

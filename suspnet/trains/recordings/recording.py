@@ -1,0 +1,419 @@
+"""One trip, cleaned and on one clock: accelerations at three places and the speed.
+
+A place may have a sensor on the left and one on the right. Each is read, cleaned and resampled
+separately. Their mean is the channel, in which roll cancels; half their difference is also stored.
+Where one of them is dead, the other one alone is the channel. Sensors at the bogie's other axle
+belong to no channel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from functools import partial
+from itertools import chain
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from suspnet.ground.findings import Finding, together
+from suspnet.ground.parameters import SIDES
+from suspnet.ground.settings import check_number
+from suspnet.ground.types import BoolArray, FloatArray
+from suspnet.ground.wording import ShortRepr
+from suspnet.trains.recordings.cleaning import Cleaner, Fault
+from suspnet.trains.recordings.clock_drift import clock_faults
+from suspnet.trains.recordings.clocks import first_moment, offsets_s
+from suspnet.trains.recordings.dead_sensors import DEAD, dead_faults, living, nearly_dead
+from suspnet.trains.recordings.errors import TripError, all_of
+from suspnet.trains.recordings.loose import find_loose
+from suspnet.trains.recordings.manifest import CHANNELS, TripManifest
+from suspnet.trains.recordings.manifest_sources import TIME_UNITS, channel_of, partner_of
+from suspnet.trains.recordings.sensor import PASS, SensorSignal, SensorStream
+from suspnet.trains.recordings.sources import open_source, zero_of
+from suspnet.trains.recordings.speed import SpeedTrack, read_speed, speed_at
+
+MOST_AT_ONCE = 2
+"""Number of sensors that are read in parallel, which bounds the memory."""
+NO_DEAD: Mapping[str, str] = {}
+"""No sensor is dead."""
+SHORTEST_S = 60.0
+"""Shortest length of a recording, [s]."""
+HIGHEST_HZ = 1e6
+"""Highest rate of a sensor [Hz]; the length of the decimation filter grows with the rate."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Recording(ShortRepr):
+    """One trip on one clock.
+
+    Attributes
+    ----------
+    signals : array of shape (3, n), [m/s2]
+        Accelerations in the order of ``CHANNELS``, with the signs of the manifest, zero phase and
+        gain 1 up to ``rate_hz / 4``. For a pair of sensors, (left + right) / 2. NaN without a
+        living sensor at axle 1.
+    usable : array of shape (n,)
+        False where an unrepaired fault affects a signal, or the speed is unknown.
+    speed_m_per_s : array of shape (n,), [m/s]
+        NaN where unknown.
+    faults : tuple of Fault
+        By channel and kind.
+    duration_s, start_s : float, [s]
+        ``n / rate_hz``, and the time of the first sample on the trip's clock, a multiple of
+        ``1 / rate_hz``.
+    paired : tuple of 3 bool
+        Which channels are pairs of sensors of which none is dead, in the order of ``CHANNELS``.
+    differences : array of shape (n_pairs, n), [m/s2]
+        (left - right) / 2 of each pair, in the order of ``CHANNELS``.
+    elsewhere : mapping of str to array of shape (n,), [m/s2]
+        Signals of the sensors at the bogie's other axle, by name.
+    words : str
+        How files were read, where this was detected, as in CSV files.
+    started : datetime or None
+        Start of the trip by the times and headers of its files; None if they do not state it.
+    faulty : mapping of str to array of shape (n,)
+        Where each sensor is not usable, by name; of those that have such times.
+    """
+
+    manifest: TripManifest
+    rate_hz: float
+    signals: FloatArray
+    usable: BoolArray
+    speed_m_per_s: FloatArray
+    faults: tuple[Fault, ...]
+    duration_s: float
+    start_s: float = 0.0
+    paired: tuple[bool, bool, bool] = (False, False, False)
+    differences: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    elsewhere: Mapping[str, FloatArray] = field(default_factory=dict)
+    words: str = ""
+    started: datetime | None = None
+    faulty: Mapping[str, BoolArray] = field(default_factory=dict)
+
+    def without(self, dead: str) -> Recording:
+        """Return the recording as if a sensor were dead, usable where no other one is faulty."""
+        living = {name: signal for name, signal in self.sensors().items() if name != dead}
+        faulty = {name: where for name, where in self.faulty.items() if name != dead}
+        paired, signals, differences = _combined(living, len(self.usable))
+        usable = np.isfinite(self.speed_m_per_s)
+        for where in faulty.values():
+            usable &= ~where
+        return replace(
+            self,
+            signals=signals,
+            usable=usable,
+            faults=(*self.faults, Fault(dead, DEAD, len(usable), self.duration_s, 0.0, True)),
+            paired=paired,
+            differences=differences,
+            elsewhere=_elsewhere(living),
+            faulty=faulty,
+        )
+
+    def sensors(self) -> dict[str, FloatArray]:
+        """Return the signal (n,) of each living one of ``TripManifest.sensors``, by name."""
+        signals: dict[str, FloatArray] = {}
+        differences = iter(self.differences)
+        left, right = SIDES
+        for name, signal, is_pair in zip(CHANNELS, self.signals, self.paired, strict=True):
+            if is_pair:
+                half = next(differences)
+                signals |= {f"{name} {left}": signal + half, f"{name} {right}": signal - half}
+            elif name not in self.absent:
+                signals[self._alone.get(name, name)] = signal
+        return {**signals, **self.elsewhere}
+
+    @property
+    def absent(self) -> tuple[str, ...]:
+        """Channels without a living sensor at axle 1."""
+        firsts = zip(CHANNELS, self.signals[:, 0], strict=True)
+        return tuple(name for name, first in firsts if np.isnan(first))
+
+    @property
+    def dead(self) -> tuple[str, ...]:
+        """Names of the sensors that are left out."""
+        dead = (fault.channel for fault in self.faults if fault.kind == DEAD)
+        return tuple(dict.fromkeys(dead))
+
+    @property
+    def sides(self) -> tuple[str | None, ...]:
+        """Side of each channel's only sensor; None for a pair, in the middle, or if unknown."""
+        sensors = self.manifest.sensors()
+        sides: list[str | None] = []
+        for name, is_pair in zip(CHANNELS, self.paired, strict=True):
+            own = sensors.get(self._alone.get(name, name))
+            sides.append(None if is_pair or own is None else self.manifest.side_of(own))
+        return tuple(side if side in SIDES else None for side in sides)
+
+    @property
+    def _alone(self) -> dict[str, str]:
+        """Names of the sensors whose partners are dead, by channel."""
+        partners = map(partner_of, self.dead)
+        return {channel_of(name): name for name in partners if name and channel_of(name)}
+
+
+def load_recording(manifest: TripManifest, rate_hz: float = 100.0) -> Recording:
+    """Return a trip, cleaned and resampled to one clock.
+
+    Files are read block by block, ``MOST_AT_ONCE`` sensors in parallel. A dead sensor of a pair, or
+    of more than ``LEAST_SENSORS``, is left out, with a fault. The result covers the time common to
+    all sensors, less about ``8 / rate_hz`` at both ends, where the low-pass filter is incomplete.
+
+    Parameters
+    ----------
+    manifest : TripManifest
+    rate_hz : float, [Hz]
+        Rate of the result; signals are flat within 1e-4 up to a quarter of it.
+
+    Raises
+    ------
+    TripError
+        If a file cannot be read, a rate is lower than `rate_hz`, too many sensors are constant or
+        have no usable sample, less than ``SHORTEST_S`` is common to all sensors, times
+        are wrong, or the speed is unknown throughout. Its `problems` are those of all sensors and
+        the speed.
+    ValueError
+        If `rate_hz` is not positive and finite.
+    """
+    check_number("rate_hz", rate_hz, above=0)
+    sensors = manifest.sensors()
+    problems: tuple[str, ...] = ()
+    started, doubt = None, ""
+    try:
+        track, offsets, (started, doubt) = _clocks(manifest)
+    except TripError as error:  # read the sensors anyway, to report their problems as well
+        track, offsets, problems = None, dict.fromkeys(sensors, 0.0), error.problems
+    with ThreadPoolExecutor(MOST_AT_ONCE) as pool:
+        read = {
+            name: pool.submit(_read_sensor, manifest, name, offsets[name], rate_hz).result
+            for name in sensors
+        }
+        streams, dead = living(manifest, read, problems)
+    del read  # it holds the signals a second time
+    recording = joined(manifest, streams, track, offsets.get("speed", 0.0), rate_hz, dead)
+    # the date is not known to `joined`, which also serves streams
+    return replace(recording, started=started, words=together((recording.words, doubt)))
+
+
+def joined(
+    manifest: TripManifest,
+    streams: Sequence[SensorSignal],
+    track: SpeedTrack | None,
+    offset_s: float,
+    rate_hz: float,
+    dead: Mapping[str, str] = NO_DEAD,
+) -> Recording:
+    """Combine all sensors of a trip over their common time; raises what `load_recording` does.
+
+    `track` is None if the manifest gives a constant speed; `offset_s` is the zero of its times on
+    the trip's clock; `rate_hz` is the rate of the common clock; `dead` are the reasons why sensors
+    are missing.
+    """
+
+    def without(more: Mapping[str, str]) -> Recording:
+        rest = [stream for stream in streams if stream.name not in more]
+        return joined(manifest, rest, track, offset_s, rate_hz, {**dead, **more})
+
+    # a sensor of which nearly nothing is usable would leave nothing of the others
+    if more := nearly_dead(streams, rate_hz):
+        return without(more)
+    first, last = _common(manifest, streams, rate_hz)
+    times_s = np.arange(first, last + 1) / rate_hz
+    duration_s = len(times_s) / rate_hz
+    speed, speed_faults = speed_at(manifest, track, offset_s, times_s)
+    # all sensors at the instants of the common clock
+    touched = np.zeros(len(times_s), dtype=np.bool_)
+    values, faulty = {}, {}
+    for stream in streams:
+        part = slice(first - stream.first, last + 1 - stream.first)
+        values[stream.name], faulty[stream.name] = stream.values[part], stream.touched[part]
+        touched |= stream.touched[part]
+    # faults between sensors: loose ones first, as they have no clock to compare
+    usable = np.isfinite(speed) & ~touched
+    loose_faults, loose, silent = find_loose(values, usable, speed, rate_hz, float(times_s[0]))
+    if more := nearly_dead(streams, rate_hz, loose_faults):
+        return without(more)
+    own_faults = (fault for stream in streams for fault in stream.faults)
+    faults = (*own_faults, *speed_faults, *loose_faults, *dead_faults(dead, duration_s, rate_hz))
+    usable &= ~loose.any(axis=0)
+    faulty = {name: own | its for (name, own), its in zip(faulty.items(), loose, strict=True)}
+    if not usable.any():
+        reasons = together(map(str, faults)) or "the speed is never known"
+        raise TripError.at(manifest.path, "nowhere-usable", faults=reasons)
+    faults += clock_faults(manifest, values, usable & ~silent, speed, rate_hz)
+    read_as = [track.words if track else "", *(stream.words for stream in streams)]
+    paired, signals, differences = _combined(values, len(times_s))
+    return Recording(
+        manifest,
+        rate_hz,
+        signals,
+        usable,
+        speed,
+        faults,
+        duration_s,
+        float(times_s[0]),
+        paired,
+        differences,
+        _elsewhere(values),
+        together(dict.fromkeys(read_as)),
+        faulty={name: where for name, where in faulty.items() if where.any()},
+    )
+
+
+def _clocks(
+    manifest: TripManifest,
+) -> tuple[SpeedTrack | None, dict[str, float], tuple[datetime | None, str]]:
+    """Return the speeds, the clock offsets of sensors and speed [s], and `first_moment`."""
+    sensors = manifest.sensors()
+    track, *own = all_of(
+        [partial(read_speed, manifest), *(partial(zero_of, manifest, name) for name in sensors)]
+    )
+    zeros = dict(zip(sensors, own, strict=True))
+    zeros |= {} if track is None else {"speed": track.zero}
+    return track, offsets_s(manifest, zeros), first_moment(zeros.values())
+
+
+def _combined(
+    values: Mapping[str, FloatArray], n: int
+) -> tuple[tuple[bool, bool, bool], FloatArray, FloatArray]:
+    """Return which channels are pairs, signals (3, n), and half differences (n_pairs, n)."""
+    signals, differences = [], []
+    places = [[values[name] for name in values if channel_of(name) == c] for c in CHANNELS]
+    axle_box, bogie, body = (len(own) == len(SIDES) for own in places)
+    paired = axle_box, bogie, body
+    for own, is_pair in zip(places, paired, strict=True):
+        signals.append(np.mean(own, axis=0) if own else np.full(n, np.nan))
+        if is_pair:
+            differences.append((own[0] - own[1]) / 2)
+    return paired, np.stack(signals), np.array(differences).reshape(len(differences), n)
+
+
+def _elsewhere(values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    return {name: signal for name, signal in values.items() if not channel_of(name)}
+
+
+def _read_sensor(
+    manifest: TripManifest, name: str, offset_s: float, wanted_hz: float
+) -> SensorSignal:
+    """Return the signal of one sensor from its file, on the common clock."""
+    where, channel = manifest.where(name), manifest.sensors()[name]
+    with open_source(manifest, channel, where) as source:
+        blocks = source.even(PASS * wanted_hz)
+        first_block = next(blocks)  # read first: time stamps then give the approximate rate
+        rate_hz = source.known_rate_hz
+        if rate_hz < 0.99 * wanted_hz:
+            unit = "" if source.times is None else source.times.likely_unit(rate_hz)
+            kind = "rate-too-low-unit" if unit else "rate-too-low"
+            hz = rate_hz / TIME_UNITS[unit] if unit else None
+            values = {"rate_hz": rate_hz, "wanted_hz": wanted_hz, "unit": unit, "hz": hz}
+            raise TripError(Finding(kind, where=where, **values))
+        if rate_hz > HIGHEST_HZ:
+            values = {"rate_hz": rate_hz, "highest_hz": HIGHEST_HZ}
+            raise TripError(Finding("rate-too-high", where=where, **values))
+        cleaner = Cleaner(name, rate_hz, source.full_scale)
+        sensor = SensorStream(where, cleaner, source.size, wanted_hz)
+        for block in chain([first_block], blocks):
+            sensor.push(block)
+    sensor.begin(offset_s + channel.start_s + source.first_s, source.known_rate_hz)
+    return replace(sensor.finish(), words=source.words)
+
+
+def _common(
+    manifest: TripManifest, streams: Sequence[SensorSignal], rate_hz: float
+) -> tuple[int, int]:
+    """Return the first and last common instant of all sensors, in steps of the common clock."""
+    common_s = min(s.end_s for s in streams) - max(s.start_s for s in streams)
+    if common_s < SHORTEST_S - 1 / rate_hz:
+        spans = together(
+            (
+                Finding("stream-between", name=s.name, start_s=s.start_s, end_s=s.end_s)
+                for s in streams
+            ),
+            ", ",
+        )
+        times = {"common_s": max(common_s, 0.0), "shortest_s": SHORTEST_S}
+        raise TripError.at(manifest.path, "too-little-in-common", **times, spans=spans)
+    first = max(stream.first for stream in streams)
+    return first, min(stream.first + len(stream.values) for stream in streams) - 1
+
+
+def followed(first: Recording, later: Recording, offset_s: float) -> Recording:
+    """Return a recording extended by a later one of the same sensors.
+
+    The gap between them is marked as unusable; there is one, as filters need samples on both sides.
+    `offset_s` is the zero of the later clock on that of the first.
+    """
+    end = round(first.start_s * first.rate_hz) + len(first.usable)
+    n_gap = round((later.start_s + offset_s) * first.rate_hz) - end
+    n_skip = max(-n_gap, 0)  # with a fractional rate they may overlap by one instant
+    n_gap = max(n_gap, 0)
+
+    # samples of the later one after the gap, each array along its last axis
+    def extended(before: NDArray[Any], after: NDArray[Any], gap: float | bool) -> Any:
+        """Return arrays (..., n) in a row, with a value in the gap."""
+        between = np.full((*before.shape[:-1], n_gap), gap)
+        return np.concatenate([before, between, after[..., n_skip:]], axis=-1)
+
+    def faulty(recording: Recording, name: str) -> BoolArray:
+        return recording.faulty.get(name, np.zeros_like(recording.usable))
+
+    usable = extended(first.usable, later.usable, False)
+    faults = (replace(fault, first_s=fault.first_s + offset_s) for fault in later.faults)
+    return replace(
+        first,
+        signals=extended(first.signals, later.signals, 0.0),
+        usable=usable,
+        speed_m_per_s=extended(first.speed_m_per_s, later.speed_m_per_s, np.nan),
+        faults=(*first.faults, *faults),
+        duration_s=len(usable) / first.rate_hz,
+        differences=extended(first.differences, later.differences, 0.0),
+        elsewhere={
+            name: extended(signal, later.elsewhere[name], 0.0)
+            for name, signal in first.elsewhere.items()
+        },
+        words=together(dict.fromkeys((first.words, later.words))),
+        faulty={
+            name: extended(faulty(first, name), faulty(later, name), False)
+            for name in dict.fromkeys((*first.faulty, *later.faulty))
+        },
+    )
+
+
+WINDOWS = 600
+"""Largest number of windows of an overview, about the width of a figure in pixels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Overview:
+    """Range and mean of the signals of a recording in windows of equal length.
+
+    `times_s`: (n_windows,), start of each window since the first sample. `low`, `high`, `mean`:
+    (3, n_windows), [m/s2], in the order of ``CHANNELS``. `speed_m_per_s`: (n_windows,), the mean;
+    NaN where partly unknown. `faulty`: (n_windows,), whether a sample is unusable; None if unknown.
+    """
+
+    times_s: FloatArray
+    low: FloatArray
+    high: FloatArray
+    mean: FloatArray
+    speed_m_per_s: FloatArray
+    faulty: BoolArray | None = None
+
+
+def overview(recording: Recording) -> Overview:
+    """Return the overview of a recording in at most ``WINDOWS`` windows."""
+    n_windows = min(WINDOWS, recording.signals.shape[1])
+    size = recording.signals.shape[1] // n_windows
+    windows = recording.signals[:, : n_windows * size].reshape(3, n_windows, size)
+    speed = recording.speed_m_per_s[: n_windows * size].reshape(n_windows, size)
+    return Overview(
+        times_s=np.arange(n_windows) * size / recording.rate_hz,
+        low=windows.min(axis=2),
+        high=windows.max(axis=2),
+        mean=windows.mean(axis=2),
+        speed_m_per_s=speed.mean(axis=1),
+        faulty=np.any(~recording.usable[: n_windows * size].reshape(n_windows, size), axis=1),
+    )

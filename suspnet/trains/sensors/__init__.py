@@ -1,0 +1,1 @@
+"""Whether sensors work and are where their manifests say."""

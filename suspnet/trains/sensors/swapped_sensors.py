@@ -1,0 +1,317 @@
+"""Places that manifests confuse: two sensors with each other, bogies and axles with others.
+
+For each two sensors, the residuals of `trains.spectra.subspace` at the median vehicle are computed
+with them exchanged, model errors of ``SPREADS[1]`` allowed for. Where an exchange lowers their rms,
+or nearly does, the trip is fitted with the sensors as given and exchanged, and the misfits decide.
+
+Left and right have their place in the residuals by the roll that they show. On two times three
+trains of tests/blind_train.py, plain and with everything at once, with up to twelve worn parts, 30
+to 130 %, no exchange of two of six sensors lowered the rms of 210 correct trips, with the drawing's
+vehicle (at least 1.002 times as large) or the commissioned one (1.01 times). Of 432 trips with two
+sensors swapped, each was found by its own exchange, with the drawing alone; on a train not among
+these the body's two had 11.69 as given and 11.68 exchanged, but misfits of 1.05 and 3.7. With such
+fits none of 70 correct trips of two of these trains was called swapped, and all 144 exchanges were
+found. With the commissioned vehicle a wrong order has 4 to 60 times the misfit of noise (66 trips).
+
+Bogie and axle are found likewise, from one trip whose direction is known: where the drawing's
+vehicle has smaller or nearly the same residuals as measured elsewhere, the trip is fitted with
+those places. Of 36 trips of three trains with everything at once, up to twelve parts worn, both
+ways, the fits of the right place had 1.05 to 1.2 times the misfit of noise, those of the three
+others at least 4.4, but on four trips another place had smaller residuals. Of 204 trips of six
+trains, three of them plain, none was called wrong, and all 216 with another place given were found,
+14 of which the smallest residuals alone missed (benchmarks/swapped_sensors.py). Healthy trips
+that the vehicle does not explain are looked at in the same way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, product
+from operator import attrgetter, itemgetter
+from typing import Literal, TypeVar
+
+import numpy as np
+
+from suspnet.curves.estimates import EstimateSettings
+from suspnet.ground.findings import Finding, at, of, together
+from suspnet.ground.parameters import DIRECTIONS, REVERSE, Direction
+from suspnet.ground.types import FloatArray
+from suspnet.trains.fits.bogie_fit import healthy_search
+from suspnet.trains.fits.bogie_search import ROUGH, BogieSearch
+from suspnet.trains.fits.healthy_misfit import HealthySpectra, row_of
+from suspnet.trains.fits.vehicle_search import SPREADS, VehicleSearch
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.spectra.bogie_trip import BogieTrip, smallest_noise
+from suspnet.vehicle import SpatialVehicle, VerticalVehicle
+from suspnet.vehicle.quantities import MASS_MEAN
+from suspnet.vehicle.vehicle_family import OTHER_END
+
+Item = TypeVar("Item")
+CLEARER = 1.25
+"""Factor by which the misfit must fall for two sensors to be called swapped."""
+EXPLAINS = 2.0
+"""Misfit below which an exchange explains a trip. With the wrong bogie given, one had 9 for 17."""
+OTHER_BOGIE = 2.0
+"""Likewise for another bogie or axle. Four trips of a leading bogie had 15 and 1.1."""
+NEARLY = 1.2
+"""Largest rms residual at the median vehicle, over the smallest of all bogies, axles or orders of
+sensors, with which one is fitted: the right bogie and axle had up to 1.08 on 36 trips of three
+trains with everything at once."""
+
+OTHER_PLACE: dict[Literal["axle", "centre"], Literal["axle", "centre"]] = {
+    "axle": "centre",
+    "centre": "axle",
+}
+ROUGHLY = 0.5
+"""Rms residual of `place_fits` up to which sensors at some place explain a trip: rigid vehicles had
+up to 0.2 in their own place, and a bogie frame stiffened by its axle guidance 0.9 in the other."""
+
+
+@dataclass(frozen=True)
+class PlaceFit:
+    """A trip's fit with its sensors at one place: the vehicle measured there.
+
+    `score` is the rms residual with model errors of 30 % and the priors, `misfit` that over noise.
+    """
+
+    vehicle: VerticalVehicle
+    score: float
+    misfit: float
+
+
+@dataclass(frozen=True)
+class Elsewhere:
+    """Another place of the sensors than the given one, which explains a trip where that does not.
+
+    The place is that of the frame's sensor, the measured axle, and the direction of travel.
+    """
+
+    given: PlaceFit
+    found: PlaceFit
+
+    @property
+    def change(self) -> tuple[str, str, Direction]:
+        """What tells the place from the given one."""
+        return place_of(self.found.vehicle)
+
+    def __str__(self) -> str:
+        was, now = self.given.vehicle, self.found.vehicle
+        looks, say = [], []
+        if now.frame_sensor != was.frame_sensor:
+            is_centre = now.frame_sensor == "centre"
+            looks.append(Finding("frame-at-centre" if is_centre else "frame-above-axle"))
+            say.append(Finding("say-frame-centre" if is_centre else "say-frame-axle"))
+        if now.axle != was.axle:
+            looks.append(Finding("sensors-at-other-axle", axle=now.axle))
+            say.append(Finding("correct-axle"))
+        if now.direction != was.direction:
+            is_back = now.direction == REVERSE
+            looks.append(Finding("runs-in-reverse" if is_back else "runs-forward"))
+            say.append(Finding("correct-direction"))
+        return at(
+            together(looks),
+            "misfit-elsewhere",
+            misfit=self.found.misfit,
+            misfit2=self.given.misfit,
+            say=together(say, "; "),
+        )
+
+
+def place_of(vehicle: VerticalVehicle) -> tuple[str, str, Direction]:
+    """Return the place of the frame's sensor, the measured axle and the direction of travel."""
+    return vehicle.frame_sensor, vehicle.axle, vehicle.direction
+
+
+def elsewhere(
+    generator: VerticalVehicle,
+    settings: EstimateSettings,
+    trip: HealthySpectra,
+    direction: Direction | None,
+) -> Elsewhere | None:
+    """Return where a trip's sensors are if not where the vehicle has them; None if they may be.
+
+    Place of the frame's sensor, axle and direction of travel are judged together: one that is wrong
+    looks like another one. `direction` is that of the manifest, None if it says none. `settings`
+    are bound to the vehicle, the spectra on their bins.
+    """
+    ways = DIRECTIONS if direction is None else (direction,)
+    own = [generator.running(way) for way in ways]
+    given = min((_place_fit(one, settings, trip) for one in own), key=attrgetter("score"))
+    if given.score <= ROUGHLY:
+        return None
+    places = product(OTHER_PLACE, OTHER_END, DIRECTIONS)
+    every = [replace(generator, frame_sensor=f, axle=a, direction=way) for f, a, way in places]
+    # most trips are nearest to their own place at the median vehicle already
+    at_start = [_rms_residual(*_place_search(one, settings, trip)) for one in every]
+    likely = [one for one in _near(every, at_start, NEARLY) if one not in own]
+    fits = [_place_fit(one, settings, trip) for one in likely]
+    found = min(fits, key=attrgetter("score"), default=given)
+    if found.score > min(ROUGHLY, given.score / OTHER_BOGIE):
+        return None
+    if direction is None:  # either may be: it is no difference
+        given = replace(given, vehicle=given.vehicle.running(found.vehicle.direction))
+    return Elsewhere(given, found)
+
+
+def _place_search(
+    vehicle: VerticalVehicle, settings: EstimateSettings, trip: HealthySpectra
+) -> tuple[VehicleSearch, FloatArray]:
+    """Return the search for a rigid vehicle that explains one trip, and its start."""
+    # with axle guidance a frame may be as good as rigid, and its sensor be anywhere
+    rigid = replace(vehicle, parts=(), distribution=None, nominal=None).with_prior()
+    search = VehicleSearch(rigid, settings, [replace(trip, trip=0, direction=vehicle.direction)])
+    return search, search.start(np.zeros(len(search.prior.names)), np.array([MASS_MEAN]))
+
+
+def _rms_residual(search: VehicleSearch, x: FloatArray) -> float:
+    return float(search.residuals(row_of(x), SPREADS[0]).square().mean().sqrt())
+
+
+def _place_fit(
+    vehicle: VerticalVehicle, settings: EstimateSettings, trip: HealthySpectra
+) -> PlaceFit:
+    search, start = _place_search(vehicle, settings, trip)
+    end = search.search(start, SPREADS[:1]).x
+    return PlaceFit(vehicle, _rms_residual(search, end), *search.misfits(row_of(end)))
+
+
+def check_order(
+    generator: SpatialVehicle,
+    trip: BogieTrip,
+    where: str = "",
+    *,
+    nearly: float = 1.0,
+    fit: Callable[[], float] | None = None,
+) -> None:
+    """Raise TripError if two sensors of a trip look swapped.
+
+    `generator` is the vehicle as its drawing or its healthy trips show it, with a distribution; the
+    message is of `where`, a file or folder. `nearly` is as for `likely_orders`, each of which takes
+    a second. `fit` returns `misfit_near` of the two, where `check_end` may need it as well.
+    """
+    assert generator.sensors is not None
+    there = _search(generator, trip).sensors_of(trip)
+    own = list(range(len(there)))
+    likely = likely_orders(generator, trip, nearly)
+    orders = [one for one in likely if one != own]
+    if not orders:
+        return
+    # no order has less than about 1
+    if (given := fit() if fit else misfit_near(generator, trip)) < CLEARER:
+        return
+    other, best = min((misfit_near(generator, trip.in_order(one)), one) for one in orders)
+    # at the median vehicle and after the fit, or else the fit explains the trip
+    if not (other < given / CLEARER and (best == likely[0] or other < EXPLAINS)):
+        return
+    names = [generator.sensors[there[i]] for i in own if best[i] != i]
+    words = Finding("sensors-swapped", names=together(names, " and "), given=given, other=other)
+    raise TripError(of(where, words) if where else words)
+
+
+def check_bogie(
+    generator: SpatialVehicle, trips: Sequence[BogieTrip], misfit: float, where: str = ""
+) -> None:
+    """Raise TripError if healthy trips fit another bogie or axle of the vehicle, not their own.
+
+    `misfit` is that of the vehicle that was commissioned on them, `generator` what it started from.
+    """
+    if misfit < OTHER_BOGIE:
+        return
+    ends = _likely_ends(_ends(generator)[1:], trips[0])
+    # near the minimum is near enough, and takes half as long
+    fits = [healthy_search(one, trips).widened(ROUGH[0]).misfit for one in ends]
+    other, end = min(zip(fits, ends, strict=True), key=itemgetter(0))
+    if other < misfit / OTHER_BOGIE:
+        raise TripError(_other_end("healthy-trips-fit", where, generator, misfit, end, other))
+
+
+def check_end(
+    generator: SpatialVehicle,
+    trip: BogieTrip,
+    where: str = "",
+    *,
+    fit: Callable[[], float] | None = None,
+) -> None:
+    """Raise TripError if a trip fits another bogie or axle of the vehicle, and not its own.
+
+    `generator`, `where` and `fit` are as for `check_order`; the direction of travel must be known.
+    """
+    own, *others = _ends(generator)
+    ends = [one for one in _likely_ends([own, *others], trip) if one is not own]
+    if not ends or (given := fit() if fit else misfit_near(own, trip)) < OTHER_BOGIE:
+        return
+    fits = [misfit_near(one, trip) for one in ends]
+    other, end = min(zip(fits, ends, strict=True), key=itemgetter(0))
+    if other < given / OTHER_BOGIE:
+        raise TripError(_other_end("trip-fits", where, generator, given, end, other))
+
+
+def _ends(generator: SpatialVehicle) -> list[SpatialVehicle]:
+    """Return the vehicle as measured at each axle of each bogie, the given one first."""
+    return [
+        replace(generator, bogie=bogie, axle=axle)
+        for bogie in (generator.bogie, OTHER_END[generator.bogie])
+        for axle in (generator.axle, OTHER_END[generator.axle])
+    ]
+
+
+def _likely_ends(ends: Sequence[SpatialVehicle], trip: BogieTrip) -> list[SpatialVehicle]:
+    """Return those of the ends of a vehicle whose residuals of a trip are nearly the smallest."""
+    return _near(ends, [_misfit_at_start(one, trip) for one in ends], NEARLY)
+
+
+def _near(items: Sequence[Item], misfits: Sequence[float], nearly: float) -> list[Item]:
+    """Return the items whose misfit is at most `nearly` times the smallest, which is the first."""
+    by_misfit = sorted(zip(misfits, items, strict=True), key=itemgetter(0))
+    return [one for misfit, one in by_misfit if misfit <= nearly * by_misfit[0][0]]
+
+
+def _other_end(
+    kind: str, where: str, given: SpatialVehicle, misfit: float, end: SpatialVehicle, least: float
+) -> str:
+    keys = [f"`{key}`" for key in ("bogie", "axle") if getattr(given, key) != getattr(end, key)]
+    words = Finding(
+        kind,
+        axle=end.axle,
+        bogie=end.bogie,
+        least=least,
+        own_axle=given.axle,
+        own_bogie=given.bogie,
+        misfit=misfit,
+        # with both, it moves like the given one in the other direction
+        keys=Finding("bogie-or-direction") if len(keys) > 1 else keys[0],
+    )
+    return of(where, words) if where else words
+
+
+def _misfit_at_start(generator: SpatialVehicle, trip: BogieTrip) -> float:
+    """Return the rms residual of a trip at the median vehicle, as `likely_orders` compares it."""
+    search = _search(generator, trip)
+    return float(search.misfits_in([range(len(search.sensors_of(trip)))])[0])
+
+
+def likely_orders(generator: SpatialVehicle, trip: BogieTrip, nearly: float) -> list[list[int]]:
+    """Return the likely orders of a trip's sensors: as given, or with two of them exchanged.
+
+    Their residuals at the median vehicle are at most `nearly` times the smallest, which is that of
+    the first.
+    """
+    search = _search(generator, trip)
+    orders = [list(range(len(search.sensors_of(trip))))]
+    for i, j in combinations(orders[0], 2):
+        orders.append(list(orders[0]))
+        orders[-1][i], orders[-1][j] = j, i
+    return _near(orders, search.misfits_in(orders).tolist(), nearly)
+
+
+def misfit_near(generator: SpatialVehicle, trip: BogieTrip) -> float:
+    """Return the misfit of a trip near the minimum, which is near enough.
+
+    The last search would take ten times as long in another valley.
+    """
+    return _search(generator, trip).widened(ROUGH[0]).misfit
+
+
+def _search(generator: SpatialVehicle, trip: BogieTrip) -> BogieSearch:
+    return BogieSearch(generator, [smallest_noise(trip.spectra)], [trip], are_healthy=False)

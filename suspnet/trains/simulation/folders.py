@@ -1,0 +1,94 @@
+"""Folders of simulated trips, one per simulation, which can continue after an interruption."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import count
+from pathlib import Path
+
+from suspnet.ground import ledger
+from suspnet.ground.storage import locked, read_json, write_json
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.manifest_files import UNFINISHED, read_manifest
+
+log = logging.getLogger(__name__)
+TRUTH = "truth.json"
+"""Name of the file with the true numbers of a simulation, which is written last."""
+
+
+class FolderTakenError(ValueError):
+    """A folder holds the trips of another simulation."""
+
+
+@contextmanager
+def own_folder(folder: Path) -> Iterator[Path]:
+    """Yield a folder that no other simulation is writing to: `folder`, or folder_2, and so on."""
+    for number in count(1):
+        tried = folder if number == 1 else folder.with_name(f"{folder.name}_{number}")
+        existed = tried.is_dir()
+        with locked(tried, wait=False) as is_ours:
+            if not is_ours:
+                log.warning("another simulation is writing to %s", tried)
+                continue
+            try:
+                yield tried
+            finally:
+                if not existed and not any(tried.iterdir()):
+                    tried.rmdir()
+            return
+
+
+@contextmanager
+def unfinished(
+    folder: Path, made_from: str, n_all: int, n_missing: int, what: str = "trips"
+) -> Iterator[None]:
+    """Mark a folder as that of an unfinished simulation, until the context ends without an error.
+
+    `made_from` is a hash of everything that its trips depend on; `n_all` and `n_missing` count its
+    trips or suspensions (`what`), and those not written yet. Raises FolderTakenError if the folder
+    holds trips of another simulation, FileExistsError if it holds a file that no simulation wrote.
+    """
+    mark = folder / UNFINISHED
+    if not mark.exists():
+        if _holds_trips(folder):
+            raise FolderTakenError(f"{folder} already holds trips; give another folder")
+        ledger.begin(folder)
+        write_json(mark, {f"n_{what}": n_all, "made_from": made_from})
+    elif read_json(mark).get("made_from") != made_from:
+        raise FolderTakenError(
+            f"{folder} already holds trips; give another folder, or the settings of that "
+            "unfinished simulation to continue it"
+        )
+    elif ledger.begin(folder) and n_missing < n_all:
+        log.info("%d of %d %s are written, continuing", n_all - n_missing, n_all, what)
+    try:
+        yield
+    # without a single trip nothing of this attempt remains
+    except BaseException:
+        if not _holds_trips(folder):
+            ledger.remove(mark)
+            if [path.name for path in folder.iterdir()] == [ledger.LEDGER]:
+                ledger.discard(folder)
+        raise
+    ledger.remove(mark)
+    ledger.discard(folder)
+
+
+def _holds_trips(folder: Path) -> bool:
+    return any(any(folder.glob(pattern)) for pattern in ("*.yaml", "*/*.yaml"))
+
+
+def is_finished(folder: Path) -> bool:
+    """Return whether a folder holds all trips of a suspension's simulation."""
+    return (folder / TRUTH).is_file() and not (folder / UNFINISHED).exists()
+
+
+def is_whole(manifest: Path) -> bool:
+    """Return whether a trip is complete: its manifest, which is written last, and its files."""
+    try:
+        read_manifest(manifest)
+    except TripError:
+        return False
+    return True

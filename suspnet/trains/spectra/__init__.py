@@ -1,0 +1,1 @@
+"""Spectra of recordings: segments at steady speed, sides, lines of wheels, spectral matrices."""

@@ -1,0 +1,151 @@
+"""Subspace fitting of the spectral matrix of any sensors; it assumes nothing of the track.
+
+With H(theta) the responses of m sensors to p < m inputs, D the inputs' spectra and N the sensors'
+noise, the spectral matrix is S = H D H^* + N. With A = N^-1/2 H, P_A the projector on its columns,
+and lambda_k, u_k the largest eigenvalues and the eigenvectors of N^-1/2 S N^-1/2, estimated from n
+averages, the residuals of a bin are ::
+
+    r_k(theta) = sqrt(2 n) (I - P_A) u_k (lambda_k - 1) / sqrt(lambda_k),    k = 1 ... p
+
+D may be any Hermitian matrix in every bin. Where the model is right, real and imaginary parts are
+standard normal in the m - p directions that P_A leaves, and their minimum is asymptotically as
+accurate as maximum likelihood (weighted subspace fitting: Viberg and Ottersten, IEEE Transactions
+on Signal Processing 39, 1110, 1991). An input of no power has lambda_k = 1 and no weight.
+
+N^-1/2 is the inverse of the Cholesky factor of N, which need not be diagonal. Model errors of a
+fraction eps of each sensor's signal are allowed for by adding eps^2 diag S to N.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import torch
+from torch import Tensor
+
+from suspnet.curves.welch import SegmentSpectra
+
+
+@dataclass(frozen=True)
+class SpectralMatrix:
+    """Averaged spectral matrix E[X X^*] of sensors, complex (n_freq, m, m), [(m/s^2)^2/Hz]."""
+
+    values: Tensor
+    n_averages: float
+
+    @classmethod
+    def of(cls, segments: SegmentSpectra, chosen: Tensor) -> Self:
+        """Return the average over chosen segments of sensors, a bool tensor (n_segments,).
+
+        ValueError if none is chosen.
+        """
+        n_segments = int(chosen.sum())
+        if n_segments == 0:
+            raise ValueError("no segment is chosen: there is nothing to average")
+        values = segments.values[chosen].permute(2, 1, 0)
+        n_averages = segments.welch.n_averages(n_segments)
+        return cls(values @ values.mH / n_segments, n_averages)
+
+    def at(self, bins: Tensor) -> SpectralMatrix:
+        """Return the matrices of chosen bins, a bool tensor (n_freq,) or their numbers."""
+        return SpectralMatrix(self.values[bins], self.n_averages)
+
+    def of_sensors(self, numbers: Sequence[int]) -> SpectralMatrix:
+        """Return the matrices of chosen sensors in the order of their numbers."""
+        chosen = list(numbers)
+        return SpectralMatrix(self.values[:, chosen][:, :, chosen], self.n_averages)
+
+    @property
+    def densities(self) -> Tensor:
+        """Spectral density of each sensor, (n_freq, m)."""
+        return self.values.diagonal(dim1=-2, dim2=-1).real
+
+
+@dataclass(frozen=True)
+class SubspaceMisfit:
+    """Residuals of a trip's spectral matrix from responses.
+
+    `noise` is the density of each sensor's noise (m,), or the spectral matrix of all that is not
+    the inputs' (n_freq, m, m), [(m/s^2)^2/Hz]; `n_inputs` is p, `spread` the fraction eps of each
+    signal that the model may err by. ValueError if there are not more sensors than inputs.
+    """
+
+    spectra: SpectralMatrix
+    noise: Tensor
+    n_inputs: int
+    spread: float = 0.0
+
+    def __post_init__(self) -> None:
+        m = self.spectra.values.shape[-1]
+        if not 0 < self.n_inputs < m:
+            raise ValueError(
+                f"{m} sensors do not tell the responses to {self.n_inputs} inputs whose spectra "
+                "are unknown; at least one sensor more is needed"
+            )
+
+    @property
+    def expected(self) -> float:
+        """Mean square of a residual where the model is right."""
+        m = self.spectra.values.shape[-1]
+        return (m - self.n_inputs) / m
+
+    @cached_property
+    def _root(self) -> Tensor:
+        """N^-1/2, (n_freq, m, m)."""
+        noise = torch.diag(self.noise) if self.noise.ndim == 1 else self.noise
+        errors = torch.diag_embed(self.spread**2 * self.spectra.densities)
+        factor = torch.linalg.cholesky(noise + errors)
+        unit = torch.eye(factor.shape[-1], dtype=factor.dtype)
+        root: Tensor = torch.linalg.solve_triangular(factor, unit, upper=False)
+        return root.to(torch.complex128)
+
+    @cached_property
+    def _signals(self) -> Tensor:
+        """u_k (lambda_k - 1) / sqrt(lambda_k) sqrt(2 n), (n_freq, m, p)."""
+        white = self._root @ self.spectra.values @ self._root.mH
+        power, vectors = torch.linalg.eigh(white)
+        power, vectors = power[:, -self.n_inputs :], vectors[:, :, -self.n_inputs :]
+        weights = (power - 1).clamp(min=0.0) / power.clamp(min=1.0).sqrt()
+        signals: Tensor = math.sqrt(2 * self.spectra.n_averages) * vectors * weights[:, None, :]
+        return signals
+
+    def __call__(self, responses: Tensor) -> Tensor:
+        """Return the residuals (n_rows, n_points) of responses (n_rows, p, m, n_freq)."""
+        return _flat(self._left(torch.linalg.qr(self._white(responses))[0]))
+
+    def derivative(self, responses: Tensor, changes: Tensor) -> tuple[Tensor, Tensor]:
+        """Return residuals (n_points,) and their derivatives (n_directions, n_points).
+
+        `responses` (p, m, n_freq) are those of one vehicle, `changes` (n_directions, p, m, n_freq)
+        their derivatives. With M the signals and A^+ the pseudo-inverse of A::
+
+            dr = -((I - P) dA A^+ + (A^+)^* dA^* (I - P)) M
+        """
+        basis, triangle = torch.linalg.qr(self._white(responses[None])[0])
+        left = self._left(basis)
+        inverse = torch.linalg.solve_triangular(triangle, basis.mH, upper=True)
+        free = self._root - basis @ (basis.mH @ self._root)  # (I - P) N^-1/2
+        # one product a bin for all directions: many small ones take ten times as long
+        n_rows, p = len(changes), self.n_inputs
+        moved = changes.permute(3, 2, 0, 1).flatten(2)  # (n_freq, m, n_rows p)
+        first = (free @ moved).unflatten(2, (n_rows, p)).flatten(1, 2) @ (inverse @ self._signals)
+        ahead = (moved.mH @ (self._root.mH @ left)).unflatten(1, (n_rows, p))
+        second = inverse.mH @ ahead.transpose(1, 2).flatten(2)
+        both = first.view(len(moved), -1, n_rows, p) + second.unflatten(2, (n_rows, p))
+        return _flat(left[None])[0], _flat(-both.permute(2, 0, 1, 3))
+
+    def _white(self, responses: Tensor) -> Tensor:
+        """Return A, (n_rows, n_freq, m, p)."""
+        return self._root @ responses.permute(0, 3, 2, 1)
+
+    def _left(self, basis: Tensor) -> Tensor:
+        """Return what the columns of a basis (..., n_freq, m, p) leave of the signals."""
+        return self._signals - basis @ (basis.mH @ self._signals)
+
+
+def _flat(values: Tensor) -> Tensor:
+    return torch.view_as_real(values).flatten(1)

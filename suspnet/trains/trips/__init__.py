@@ -1,0 +1,1 @@
+"""Folders of trips: manifests of them, checks, and the reading of each trip."""

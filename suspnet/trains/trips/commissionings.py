@@ -1,0 +1,182 @@
+"""Commissionings: which models read a trip of a suspension, and its healthy reference.
+
+A vehicle is commissioned again after maintenance. Its trips from the first new healthy one on are
+read with the new models, relative to the new healthy values. Values in SI units compare across
+commissionings: the trend figure shows all trips relative to the first one's healthy values, while
+limits and tests use the trips since the last one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from suspnet.curves.speeds import range_words
+from suspnet.estimation.fitted import ModelFileError
+from suspnet.estimation.from_spectra import trip_settings
+from suspnet.estimation.trained import TrainedModel
+from suspnet.ground.findings import Finding, together
+from suspnet.ground.parameters import BODY_MASS, REVERSE
+from suspnet.ground.records import Commissioning, Place, TripResult
+from suspnet.trains.maintenance.relative import divided, medians
+from suspnet.trains.spectra.steady_parts import speed_range
+
+NAMED = 6
+"""Largest number of suspensions that an error names."""
+
+
+def since_km(model: TrainedModel) -> float:
+    """Return the mileage of a model's first healthy trip, [km]; NaN if it is not commissioned."""
+    found = model.training.get("commissioned")
+    return float(found["mileage_km"][0]) if found else math.nan
+
+
+def eras(models: Sequence[TrainedModel]) -> list[list[TrainedModel]]:
+    """Return the models of each commissioning, the earliest first.
+
+    ModelFileError is raised if one model is commissioned and another is not.
+    """
+    starts = [since_km(model) for model in models]
+    if all(map(math.isnan, starts)):
+        return [list(models)]
+    if any(map(math.isnan, starts)):
+        raise ModelFileError(
+            "one run is commissioned and another is not, so their healthy values "
+            "differ; give runs that were trained with healthy=DIR"
+        )
+    return [
+        [model for model, km in zip(models, starts, strict=True) if km == start]
+        for start in sorted(set(starts))
+    ]
+
+
+def models_at(models: Sequence[TrainedModel], mileage_km: float) -> list[TrainedModel]:
+    """Return the models of the latest commissioning that starts at or before a trip.
+
+    A trip before all of them is read with the first, one without a mileage with the last.
+    """
+    all_eras = eras(models)
+    before = [era for era in all_eras if not since_km(era[0]) > mileage_km]
+    return before[-1] if before else all_eras[0]
+
+
+def commissionings(
+    models: Sequence[TrainedModel], results: Sequence[TripResult]
+) -> list[Commissioning]:
+    """Return the commissionings that trips were read with; empty if there is at most one."""
+    starts = {r.healthy_since_km for r in results}
+    used = [era[0] for era in eras(models) if since_km(era[0]) in starts]
+    if len(used) < 2:
+        return []
+    # of each parameter, and of each part if these are read
+    healthy_si = [
+        {
+            name: value
+            for healthy in model.references
+            for name, value in zip(healthy.names, healthy.values.tolist(), strict=True)
+        }
+        for model in used
+    ]
+    return [
+        Commissioning(
+            since_km(model),
+            own,
+            {name: value / healthy_si[0][name] for name, value in own.items()},
+            tuple(model.training["commissioned"].get("trips", ())),
+        )
+        for model, own in zip(used, healthy_si, strict=True)
+    ]
+
+
+def with_truth_of_each(
+    results: Sequence[TripResult], several: Sequence[Commissioning]
+) -> list[TripResult]:
+    """Return results whose truth, if known, is relative to their commissioning's healthy trips."""
+    truths = {
+        one.since_km: [r.truth for r in results if r.trip in one.trips and r.truth]
+        for one in several
+    }
+    return [
+        _relative_truth(r, truths[r.healthy_since_km]) if r.healthy_since_km in truths else r
+        for r in results
+    ]
+
+
+def _relative_truth(result: TripResult, healthy: Sequence[Mapping[str, float]]) -> TripResult:
+    """Return a result whose true k and c are relative to the median of healthy trips."""
+    names = [
+        name for name in result.truth if name != BODY_MASS and all(name in one for one in healthy)
+    ]
+    return replace(result, truth=divided(result.truth, medians(healthy, names)))
+
+
+def check_one_reference(models: Sequence[TrainedModel]) -> None:
+    """Raise ValueError for several commissionings: first trips define only one reference."""
+    if len(eras(models)) > 1:
+        raise ValueError(
+            "monitor.reference=first_trips is for one healthy state, and run= names several "
+            "commissionings: leave it out, or give one run"
+        )
+
+
+def check_models(models: Sequence[TrainedModel]) -> tuple[str, ...]:
+    """Return the outputs of models that can read trips together.
+
+    ModelFileError is raised if one was not trained on estimates from trips or needs a measured
+    mass, or if they differ in vehicle or outputs or share a speed.
+    """
+    for model in models:
+        trip_settings(model)
+        if model.task.mass_known:
+            raise ModelFileError("models with protocol.mass_known=true cannot read trips")
+    read = [(model.vehicle, model.task.outputs, model.bogie is None) for model in models]
+    if any(one != read[0] for one in read):
+        raise ModelFileError(
+            "the models of `run` must share vehicle and outputs; give runs of one vehicle"
+        )
+    for era in eras(models):
+        if len({model.generator.bogie for model in era} - {None}) > 1:
+            raise ModelFileError(Finding("both-bogies"))
+        speeds = {(model.generator.speed_m_per_s, model.generator.direction) for model in era}
+        if len(speeds) < len(era):
+            words = together(dict.fromkeys(map(speed_words, era)), ", ")
+            raise ModelFileError(Finding("same-speed-twice", words=words))
+    return models[0].task.outputs
+
+
+def speed_words(model: TrainedModel) -> str:
+    """Return the speeds that a model reads, as text."""
+    speeds = speed_range(model)
+    words = "any" if speeds is None else range_words([speeds])
+    return Finding("in-reverse", words=words) if model.generator.direction == REVERSE else words
+
+
+def place_of(model: TrainedModel) -> Place | None:
+    """Return the suspension that a model was commissioned on; None if unknown."""
+    noted = model.training.get("commissioned", {}).get("place")
+    return Place(**noted) if noted else None
+
+
+def models_of(models: Sequence[TrainedModel], place: Place) -> list[TrainedModel]:
+    """Return the models that read a suspension's trips.
+
+    If `models` were commissioned on several suspensions, these are the ones of `place`; otherwise
+    those of its bogie, if it is named. ModelFileError is raised if there is none, or if they cannot
+    read trips together.
+    """
+    places = sorted({one for one in map(place_of, models) if one is not None})
+    if len(places) > 1:
+        models = [model for model in models if place_of(model) == place]
+        if not models:
+            words = together(map(str, places[:NAMED]))
+            if (n_more := len(places) - NAMED) > 0:
+                words = Finding("and-others", words=words, n=n_more)
+            raise ModelFileError(Finding("not-commissioned-on", place=place, named=words))
+    fitting = [m for m in models if not place.bogie or m.generator.bogie in (None, place.bogie)]
+    if not fitting:
+        raise ModelFileError(
+            Finding("models-of-other-bogie", bogie=place.bogie, bogie2=place.bogie)
+        )
+    check_models(fitting)
+    return fitting

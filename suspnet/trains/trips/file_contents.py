@@ -1,0 +1,335 @@
+"""Contents of data files, by their first samples and by names of columns, in English and German."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from suspnet.ground.parameters import ENDS, SIDES
+from suspnet.ground.types import FloatArray
+from suspnet.trains.recordings.clocks import Times, Zero, header_date, likely_time_unit
+from suspnet.trains.recordings.columns import Column, OpenFile, size_of, unit_in_name
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.formats import open_file, read_columns
+from suspnet.trains.recordings.logger_notes import WORDS, choice_of, key_of
+from suspnet.trains.recordings.manifest import CHANNELS
+from suspnet.trains.recordings.manifest_sources import TIME_UNITS, FileSource
+
+ACCELERATION, SPEED = "acceleration", "speed"
+ABOUT_TRIP = ("mileage_km", "direction")
+"""Keys of a manifest that columns may state."""
+MOST_COLUMNS = 500
+"""Largest number of columns of a file that are inspected."""
+MOSTLY_RISING = 0.99
+"""Least share of rising steps in a column of times."""
+_WORDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    SPEED: (("speed", "veloc", "geschwind", "tempo"), ("v", "vel", "kmh", "kph", "mps", "vzug")),
+    "axle_box": (
+        ("axle", "achs", "radsatz", "wheelset", "lager", "bearing", "journal"),
+        ("box", "ab", "al"),
+    ),
+    "bogie": (("bogie", "drehgestell", "rahmen", "frame"), ("dg", "truck")),
+    "body": (("body", "kasten", "coach", "floor", "boden"), ("car", "wk", "wagen", "cb")),
+}
+"""For each meaning, parts of words and whole words that have it. The first match counts: an axle
+box is also on a bogie, and a bogie also belongs to a car."""
+_BOGIE_NUMBER = re.compile(r"(?:bogie|drehgestell|dg)[\s_.-]*([12])(?!\d)")
+_AXLE_NUMBER = re.compile(
+    r"(?:axle|achse|achslager|radsatz|radsatzlager|wheelset|box|ws|rs|ecke|corner|\bal)"
+    r"[\s_.-]*([1-4])(?!\d)"
+)
+_UNITS = {"ms2": "m/s2", "mps2": "m/s2", "g": "g", "mg": "mg", "mps": "m/s"} | dict.fromkeys(
+    ("kmh", "kph"), "km/h"
+)
+_TIMES = ("t", "datetime", "datum", "uhrzeit", "seconds", "sec", "utc")
+_TIME_BEGINS = ("time", "zeit")
+_OTHER_DIRECTIONS = ("x", "y", "lateral", "longitudinal", "quer", "laengs", "längs", "lat", "long")
+
+
+def words_of(name: str) -> list[str]:
+    """Return the words of a name in lower case, without a unit in brackets at its end.
+
+    >>> words_of("Run1/AxleBoxLeft_2 [m/s2]")
+    ['run1', 'axle', 'box', 'left', '2']
+    """
+    bare = re.sub(r"[\[(][^\[\]()]*[\])]\s*$", "", name)
+    spaced = re.sub(r"(?<=[a-zäöüß])(?=[A-Z])", " ", bare)
+    return [word for word in re.split(r"[\W_]+", spaced.lower()) if word]
+
+
+def guessed_meaning(*names: str) -> str:
+    """Return one of ``CHANNELS`` or ``SPEED`` by the first name that shows it; empty if none."""
+    for words in map(words_of, names):
+        for what, (parts, wholes) in _WORDS.items():
+            if any(word in wholes or any(part in word for part in parts) for word in words):
+                return what
+    return ""
+
+
+def names_times(name: str) -> bool:
+    """Return whether a column's name is one of times."""
+    return any(word in _TIMES or word.startswith(_TIME_BEGINS) for word in words_of(name))
+
+
+def guessed_side(*names: str) -> str:
+    """Return "left" or "right" by the first name that states a side; empty if none does."""
+    for words in map(words_of, names):
+        sides = [side for side in SIDES if set(words) & set(WORDS["side"][side])]
+        if len(sides) == 1:
+            return sides[0]
+    return ""
+
+
+def guessed_bogie(*names: str) -> tuple[str, str]:
+    """Return the bogie that the first name states, and the word that does; both empty if none.
+
+    Bogie 1 is the leading one of a vehicle that runs forward.
+    """
+    for name in names:
+        if number := _BOGIE_NUMBER.search(name.lower()):
+            return ENDS[int(number[1]) - 1], number[0]
+        if chosen := choice_of("bogie", name):
+            return chosen, chosen
+    return "", ""
+
+
+def guessed_axle(*names: str) -> int:
+    """Return the number of an axle by the first name that states 1 to 4; 0 if none does.
+
+    3 and 4 are those of a vehicle, 1 and 2 may be those of a bogie.
+
+    >>> guessed_axle("Achslager 2 links"), guessed_axle("axle_box_left"), guessed_axle("WS12")
+    (2, 0, 0)
+    """
+    matches = (_AXLE_NUMBER.search(name.lower()) for name in names)
+    return next((int(match[1]) for match in matches if match), 0)
+
+
+def is_of_another_direction(column: str) -> bool:
+    """Return whether a column's name states a direction other than vertical."""
+    return bool(set(words_of(column)) & set(_OTHER_DIRECTIONS))
+
+
+Address = tuple[Path, str]
+"""File and name of a column."""
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One column of numbers, and what is known about it.
+
+    `unit` is as the file or the column's name writes it. `rate_hz` is stated by the file or
+    computed from its times; NaN if unknown. `time` is the column of its times, empty if it has none
+    or the file states the rate, and `time_unit` their unit if only their column's name states it.
+    `mean` and `deviation` are those of the first samples, `first` is the first of them. `zero` is
+    when its times start, as far as the file states it. `names` serve to guess its meaning: its own,
+    with and without its group's, and that of a file with at most two columns or with columns that
+    name no channel. `axle` is 1 or 2 of the bogie where this was said, else 0; `range` is the
+    sensor's where said, else NaN. `said` are the keys, unit and rate_hz, that the user said,
+    `untimed` is why its column of times is not used.
+    """
+
+    file: Path
+    column: Column
+    unit: str
+    rate_hz: float
+    time: str
+    time_unit: str
+    mean: float
+    deviation: float
+    zero: Zero = field(default_factory=Zero)
+    names: tuple[str, ...] = ()
+    first: float = np.nan
+    axle: int = 0
+    range: float = np.nan
+    said: tuple[str, ...] = ()
+    untimed: str = ""
+
+    @property
+    def name(self) -> str:
+        """Name of the column."""
+        return self.column.name
+
+    @property
+    def address(self) -> Address:
+        """File and column: loggers of one kind give their columns the same names."""
+        return self.file, self.name
+
+    @property
+    def meaning(self) -> str:
+        """Channel or speed, by names and unit; empty if these do not show it."""
+        # DG1 is that of a body in "DG1 Wagenkasten", and the place itself in "DG1_L"
+        unnumbered = (re.sub(r"\d+", " ", name) for name in self.names)
+        guess = guessed_meaning(*self.names) or guessed_meaning(*unnumbered)
+        if size_of(SPEED, self.unit) is not None:
+            return SPEED
+        is_acceleration = size_of(ACCELERATION, self.unit) is not None
+        return "" if guess == SPEED and is_acceleration else guess
+
+    @property
+    def side(self) -> str:
+        """Side of the vehicle, by names; empty if these do not show it."""
+        return guessed_side(*self.names)
+
+
+@dataclass(frozen=True)
+class Contents:
+    """Columns of numbers of a file, how it is read if that was detected, and its logger's notes."""
+
+    file: Path
+    signals: tuple[Signal, ...]
+    read_as: str = ""
+    notes: tuple[str, ...] = ()
+
+
+def look_into(file: Path) -> tuple[list[Signal], str]:
+    """Return the columns of numbers of a file, without times, and how the file is read.
+
+    TripError is raised if the file cannot be read, or holds no column of numbers.
+    """
+    contents = contents_of(file)
+    return list(contents.signals), contents.read_as
+
+
+def contents_of(file: Path) -> Contents:
+    """Return the columns of numbers of a file, without times, and what else it states.
+
+    TripError is raised if the file cannot be read, or holds no column of numbers.
+    """
+    with open_file(file) as opened:
+        columns = opened.columns[:MOST_COLUMNS]
+        # times first: other columns take their rate from them
+        named = {
+            column.name: _times(file, opened, column.name)
+            for column in columns
+            if column.is_time or names_times(column.name)
+        }
+        times = {name: values for name, (values, _) in named.items() if len(values) > 1}
+        falls = {name: f"{file.name}: {why}" for name, (_, why) in named.items() if why}
+        others = [c for c in columns if not (c.is_time or c.unread or c.name in {*times, *falls})]
+        inspected = [_signal(file, opened, column, times) for column in others]
+        refused = "; ".join(f"{c.name!r} {c.unread}" for c in columns if c.unread)
+    signals = [signal for signal in inspected if signal is not None]
+    if not signals:
+        raise TripError(f"{file} holds no column of numbers{': ' if refused else ''}{refused}")
+    # a file DG2 of many columns is that of a bogie with all of its places
+    is_bogie = bool(_BOGIE_NUMBER.search(file.stem.lower()))
+    has_channels = bool({signal.meaning for signal in signals} & set(CHANNELS))
+    if len(signals) <= len(SIDES) or not (is_bogie or has_channels):
+        signals = [_named_by_its_file(signal) for signal in signals]
+    untimed = next(iter(falls.values()), "") if not times else ""
+    if untimed:
+        signals = [s if np.isfinite(s.rate_hz) else replace(s, untimed=untimed) for s in signals]
+    words = [opened.words, f"{file.name}: not read: {refused}" if refused else ""]
+    words += dict.fromkeys(signal.untimed for signal in signals)
+    return Contents(file, tuple(signals), "; ".join(filter(None, words)), opened.notes)
+
+
+def _named_by_its_file(signal: Signal) -> Signal:
+    sizes = (size_of(kind, signal.unit) for kind in (ACCELERATION, SPEED))
+    if signal.unit and all(size is None for size in sizes):  # such as a temperature
+        return signal
+    return replace(signal, names=(*signal.names, signal.file.stem))
+
+
+def _first(file: Path, opened: OpenFile, names: Sequence[str]) -> tuple[FloatArray, ...]:
+    """Return the first block of some columns; empty if one does not hold numbers."""
+    try:
+        return next(iter(read_columns(file, opened, names)))
+    except TripError:
+        return ()
+
+
+def _times(file: Path, opened: OpenFile, name: str) -> tuple[FloatArray, str]:
+    """Return the first times of a column, [s] or its own unit; empty if they do not increase.
+
+    Some may be missing, and a clock may start again. Why times do not increase is returned too.
+    """
+    (block,) = _first(file, opened, [name]) or (np.empty(0),)
+    if block.dtype.kind == "M":
+        block = block[~np.isnat(block)]
+        block = np.asarray((block - block[0]) / np.timedelta64(1, "s") if len(block) else [])
+    block = block[np.isfinite(block)]
+    steps = np.diff(block)
+    if len(steps) and (steps > 0).mean() >= MOSTLY_RISING:
+        return np.asarray(block, dtype=np.float64), ""
+    if not steps.any() or np.corrcoef(block, np.arange(len(block)))[0, 1] < MOSTLY_RISING:
+        return np.empty(0), ""  # they are no times, whatever their name says
+    i = np.flatnonzero(steps <= 0)[0]
+    return np.empty(0), (
+        f"the times {name!r} must rise, but {block[i + 1]:.9g} follows {block[i]:.9g} (sample "
+        f"{i + 2}), so they are not used; mend them, or rate_hz takes the samples as evenly spaced"
+    )
+
+
+def _signal(
+    file: Path, opened: OpenFile, column: Column, times: dict[str, FloatArray]
+) -> Signal | None:
+    """Return what is known about a column; None if it holds no numbers, or one that is no key."""
+    blocks = _first(file, opened, [column.name])
+    if not blocks or blocks[0].dtype.kind != "f":
+        return None
+    if len(blocks[0]) < 2 and key_of(column.name) not in ABOUT_TRIP:
+        return None
+    # the rate is the file's, else that of the column's own or the first shared times
+    values = blocks[0][np.isfinite(blocks[0])]
+    time, time_unit, rate_hz = "", "", column.rate_hz
+    if rate_hz is None:
+        shared = (name for name in times if not opened.column(name).is_by_name)
+        time = column.time or next(shared, "")
+        rate_hz, time_unit = _rate(opened, time, times[time]) if time in times else (np.nan, "")
+    if time and not time_unit and guessed_meaning(column.name) != SPEED:
+        stated = opened.column(time).unit or unit_in_name(time)
+        time_unit = "" if stated else likely_time_unit(rate_hz)
+        rate_hz /= TIME_UNITS[time_unit or "s"]
+    return Signal(
+        file=file,
+        column=column,
+        unit=column.unit or unit_in_name(column.name) or _unit_word(column.name),
+        rate_hz=rate_hz,
+        time=time,
+        time_unit=time_unit,
+        mean=float(values.mean()) if len(values) else np.nan,
+        deviation=float(values.std()) if len(values) else np.nan,
+        zero=_zero(file, opened, column, time, time_unit),
+        names=(column.name.rpartition("/")[2], column.name),
+        first=float(values[0]) if len(values) else np.nan,
+    )
+
+
+def _zero(file: Path, opened: OpenFile, column: Column, time: str, time_unit: str) -> Zero:
+    if not time:
+        return Zero(column.start_ns, not column.is_local, True, header_date(column))
+    times = Times(
+        str(file),
+        FileSource(str(file), time_unit=time_unit or None),
+        opened.column(time),
+        column.start_ns,
+    )
+    try:
+        for block in _first(file, opened, [time]):
+            times.seconds(block)
+    except TripError:
+        return Zero(date=header_date(column))
+    return replace(times.zero, date=header_date(column))
+
+
+def _rate(opened: OpenFile, time: str, times: FloatArray) -> tuple[float, str]:
+    """Return the rate of some times [Hz], and their unit if only the column's name states it."""
+    column = opened.column(time)
+    stated = "" if column.is_time else column.unit or unit_in_name(time)
+    words = [word for word in words_of(time)[1:] if word in TIME_UNITS]
+    named = words[-1] if words and not stated and not column.is_time else ""
+    step = float(np.median(np.diff(times))) * (size_of("time", stated or named) or 1.0)
+    return 1 / step, named
+
+
+def _unit_word(name: str) -> str:
+    """Return a unit that is a separate word of a column's name; empty if there is none."""
+    written = re.findall(r"km/h|m/s\^?[2²]|m/s", name)
+    spelled = [_UNITS[word] for word in words_of(name)[1:] if word in _UNITS]
+    return (written or spelled or [""])[-1]

@@ -1,0 +1,281 @@
+"""One trip: recording -> segments -> transfer functions in speed bins -> stiffness and damping."""
+
+from __future__ import annotations
+
+import functools
+import logging
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import astuple, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from suspnet.curves.speeds import NoEstimateError
+from suspnet.curves.welch import Welch
+from suspnet.estimation.commissioned_bogie import CommissionedBogie
+from suspnet.estimation.estimate import Estimate
+from suspnet.estimation.from_spectra import trip_settings
+from suspnet.estimation.trained import TrainedModel
+from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.findings import (
+    NO_PART,
+    WITHOUT_SENSORS,
+    Finding,
+    together,
+    with_values,
+    without,
+)
+from suspnet.ground.records import (
+    ERROR,
+    NO_ESTIMATE,
+    OK,
+    Place,
+    Quality,
+    TripCurves,
+    TripResult,
+    sensors_text,
+)
+from suspnet.ground.storage import one_line
+from suspnet.ground.tensors import threads
+from suspnet.ground.types import FloatArray
+from suspnet.trains.identification.bogie_trips import UNEXPLAINED, UnexplainedError
+from suspnet.trains.identification.from_recording import BothWays, at_healthy_temperature, both_ways
+from suspnet.trains.identification.trip_flags import with_sides
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.manifest import TripManifest
+from suspnet.trains.recordings.manifest_files import ManifestFile
+from suspnet.trains.recordings.recording import Recording, load_recording, overview
+from suspnet.trains.sensors.sensor_health import sensor_health
+from suspnet.trains.spectra.segments import recording_segments
+from suspnet.trains.spectra.steady_parts import SeenBin, combined, largest
+from suspnet.trains.spectra.wheel_lines import wheel_lines, wheel_words
+from suspnet.trains.trips.commissionings import models_at, since_km
+
+log = logging.getLogger(__name__)
+
+
+def evaluate_trip(
+    trip: Path | ManifestFile, models: Sequence[TrainedModel], settings: TripSettings
+) -> TripResult:
+    """Return a trip's estimate, or the reason why there is none; it never fails.
+
+    `trip` is its manifest; `models` has one for each speed bin and commissioning, all with the same
+    outputs.
+    """
+    file = trip if isinstance(trip, ManifestFile) else ManifestFile(trip)
+    try:
+        manifest = file.trip
+    except Exception as error:
+        return lost_trip(file.path, _reason(error, file.path))
+    read = functools.partial(load_recording, manifest, settings.rate_hz)
+    return evaluate_recording(manifest, read, models, settings)
+
+
+@threads(1)
+def evaluate_recording(
+    manifest: TripManifest,
+    read: Callable[[], Recording],
+    models: Sequence[TrainedModel],
+    settings: TripSettings,
+) -> TripResult:
+    """Return the estimate from a trip's recording, or why there is none; it never fails.
+
+    `read` returns the recording; an exception that it raises is the reason.
+    """
+    start = time.perf_counter()
+    about: dict[str, Any] = {
+        "trip": manifest.name,
+        "manifest": str(manifest.path),
+        "vehicle": manifest.vehicle,
+        "place": manifest.place,
+        "mileage_km": manifest.mileage_km,
+        "truth": dict(manifest.truth),
+        "temperature_c": np.nan if manifest.temperature_c is None else manifest.temperature_c,
+    }
+    if manifest.start:
+        about["start"] = manifest.start.isoformat()
+    try:
+        models = models_at(models, manifest.mileage_km)
+        about["healthy_since_km"] = since_km(models[0])
+        _check_measured(manifest, models)
+        outcome = outcome_of(read(), models, settings)
+    except Exception as error:  # a fault in one trip must not end the run of a fleet
+        outcome = {"status": ERROR, "reason": _reason(error, manifest.path)}
+    seconds = time.perf_counter() - start
+    return _in_lines(TripResult(**(outcome | about), seconds=seconds))
+
+
+def lost_trip(path: Path, reason: str) -> TripResult:
+    """Return the result of a trip of which nothing but its manifest's path is known."""
+    return _in_lines(TripResult(path.stem, str(path), status=ERROR, reason=reason))
+
+
+def _reason(error: Exception, manifest: Path) -> str:
+    if isinstance(error, TripError):
+        return without(manifest, str(error))
+    log.debug("trip %s failed", manifest, exc_info=error)
+    return f"{type(error).__name__}: {error}"
+
+
+def _in_lines(result: TripResult) -> TripResult:
+    """Return a result whose texts are of one line each, as tables need them."""
+    place = Place(*map(one_line, astuple(result.place)))
+    values = {f.name: getattr(result, f.name) for f in fields(result)}
+    texts: dict[str, Any] = {
+        name: with_values(value, one_line)
+        for name, value in values.items()
+        if isinstance(value, str)
+    }
+    return replace(result, place=place, **texts)
+
+
+def _check_measured(manifest: TripManifest, models: Sequence[TrainedModel]) -> None:
+    """Raise TripError if the models were not trained for the trip's vehicle and axle."""
+    for name in sorted({model.vehicle.name for model in models} - {manifest.vehicle}):
+        raise TripError(
+            Finding("model-of-other-vehicle", vehicle=repr(manifest.vehicle), name=repr(name))
+        )
+    axle = getattr(models[0].generator, "axle", None)  # those of users need not name one
+    if axle and manifest.axle and manifest.axle != axle:
+        raise TripError(Finding("model-of-other-axle", axle=manifest.axle, axle2=manifest.axle))
+
+
+def outcome_of(
+    recording: Recording, models: Sequence[TrainedModel], settings: TripSettings
+) -> dict[str, Any]:
+    """Return the fields of a result that the recording decides."""
+    segments = {welch: recording_segments(recording, welch) for welch in map(_welch, models)}
+    start = "" if recording.started is None else recording.started.isoformat()
+    quality: dict[str, Any] = {
+        "duration_s": recording.duration_s,
+        "usable_percent": 100 * float(recording.usable.mean()),
+        "faults": together(map(str, recording.faults)),
+        "read_as": recording.words,
+        "wheels": wheel_words(recording, wheel_lines(recording)),
+        "sensors": sensors_text(sensor_health(recording, models[0].generator, _welch(models[0]))),
+        "segments_total": max(len(several.values) for several in segments.values()),
+    }
+    pairs = [(model, segments[_welch(model)]) for model in models]
+    try:
+        shown = both_ways(pairs, recording, settings)
+    except (TripError, NoEstimateError) as error:  # with the quality, which may show why
+        status = ERROR if isinstance(error, TripError) else NO_ESTIMATE
+        refused = {"status": status, "reason": str(error)}
+        return refused | {"start": start, "quality": Quality(**quality)}
+    outcome, misfit = _of_estimate(shown, models[0].bogie, recording)
+    bins = [] if isinstance(shown.bins, NoEstimateError) else shown.bins
+    if bins:
+        quality |= _of_bins(bins, recording)
+    warnings = together((*dict.fromkeys(one.doubts for one in bins), _of_parts(shown.parts)))
+    return outcome | {
+        "start": start,
+        "quality": Quality(**quality, misfit=misfit, warnings=warnings),
+        "curves": _curves(largest(bins), recording) if bins else None,
+    }
+
+
+def _of_estimate(
+    shown: BothWays, bogie: CommissionedBogie | None, recording: Recording
+) -> tuple[dict[str, Any], float]:
+    """Return the fields of a result that its estimate decides, and the estimate's misfit.
+
+    It is the estimate of each part if the trip shows them, else that of both sides as equal.
+    """
+    sides = worn = unexplained = ""
+    if isinstance(shown.parts, Estimate):
+        assert bogie is not None  # whose parts these are
+        estimate, healthy, worn = shown.parts, bogie.healthy, shown.parts.found
+    else:
+        unexplained = UNEXPLAINED if isinstance(shown.parts, UnexplainedError) else ""
+        if isinstance(shown.bins, NoEstimateError):
+            reason = {"status": NO_ESTIMATE, "reason": str(shown.bins)}
+            return reason | {"flags": unexplained}, np.nan
+        equal, sides = with_sides(combined(shown.equal), shown.equal, recording)
+        estimate = at_healthy_temperature(shown.equal[0].method, equal, recording)
+        healthy = largest(shown.equal).method.healthy
+
+    def by_name(values: FloatArray) -> dict[str, float]:
+        return dict(zip(estimate.names, values.tolist(), strict=True))
+
+    return {
+        "status": OK,
+        "estimates": by_name(estimate.values[0]),
+        "raw": by_name(estimate.values[0]),
+        "half_widths": by_name(estimate.half_widths[0]),
+        "healthy_si": by_name(healthy.values),
+        "healthy_half_widths": by_name(healthy.half_widths(estimate.level)),
+        "flags": together((estimate.flags.reasons[0], unexplained)),
+        "sides": sides,
+        "worn": worn,
+    }, estimate.misfit
+
+
+def _of_parts(parts: Estimate | NoEstimateError | None) -> str:
+    """Return a warning if no part was read, or if some sensors were not used; else empty."""
+    if isinstance(parts, NoEstimateError):
+        return Finding(NO_PART, words=str(parts))
+    if parts is not None and parts.lost:
+        return Finding(WITHOUT_SENSORS, names=parts.lost, listed=together(parts.lost, ", "))
+    return ""
+
+
+def _welch(model: TrainedModel) -> Welch:
+    return trip_settings(model).welch
+
+
+def _of_bins(bins: Sequence[SeenBin], recording: Recording) -> dict[str, Any]:
+    """Return what bins of speed add to the quality: averages over them, by their averages.
+
+    Bins may overlap: a segment that two models read counts once.
+    """
+    weights = np.array([one.spectra.n_averages for one in bins])
+    weights = weights / weights.sum()
+    coherence = sum(
+        weight * one.spectra.coherences().mean(dim=1).numpy()
+        for weight, one in zip(weights, bins, strict=True)
+    )
+    used = _used(bins)
+    n_features = len(bins[0].method.task.extractor.names)
+    return {
+        "coherence_p": float(coherence[0]),
+        "coherence_s": float(coherence[1]),
+        "n_averages": sum(welch.n_averages(count) for welch, count in used.items()),
+        "segments_used": sum(used.values()),
+        "speed_m_per_s": float(weights @ [one.speed_m_per_s for one in bins]),
+        "speed_bins": together(
+            f"{one.speed_m_per_s:.1f} m/s{' in reverse' if one.is_reverse else ''}: "
+            f"{one.spectra.n_averages:.0f} averages"
+            for one in bins
+        ),
+        "direction": largest(bins).method.generator.direction or recording.manifest.direction or "",
+        "features_found": f"{n_features} of {n_features}",
+    }
+
+
+def _used(bins: Sequence[SeenBin]) -> dict[Welch, int]:
+    """Return the number of segments that any of the bins uses, by how segments are cut."""
+    chosen: dict[Welch, Tensor] = {}
+    for one in bins:
+        welch = one.segments.welch
+        chosen[welch] = chosen.get(welch, torch.zeros_like(one.chosen)) | one.chosen
+    return {welch: int(segments.sum()) for welch, segments in chosen.items()}
+
+
+def _curves(best: SeenBin, recording: Recording) -> TripCurves:
+    method = trip_settings(best.method).method
+    seen = overview(recording)
+    return TripCurves(
+        frequencies_hz=best.segments.frequencies_hz.numpy(),
+        responses=best.spectra.responses(method).numpy(),
+        coherences=best.spectra.coherences().numpy(),
+        deviations=best.spectra.deviations(method).numpy(),
+        overview_s=seen.times_s,
+        overview_low=seen.low,
+        overview_high=seen.high,
+        overview_mean=seen.mean,
+        overview_speed=seen.speed_m_per_s,
+    )

@@ -1,1 +1,0 @@
-"""Recorded trips: checks and evaluation of folders of trips."""

@@ -1,0 +1,300 @@
+"""Springs and dampers of a vehicle of twelve separate parts, each along its own stretch.
+
+An element of dynamic stiffness kappa (`suspnet.vehicle.vertical_motion`) that is stretched by u
+acts with the force kappa u against it. Letters of the vertical family hold (i = 1 the measured
+bogie, 2 the other one, sigma = +1, -1; a half wheelbase, L half pivot distance, b half distances,
+h levers, r_0 wheel radius), for the whole vehicle and not one side of it. Further, epsilon = +1, -1
+for axle 1, 2 (or 3, 4 of the other bogie; 3 is at the same end as 1), s = +1, -1 for left, right.
+Angles are multiplied by L (body: phi, chi) or a (bogie and wheelsets: psi, chi), but not the rolls
+theta; y is lateral, to the left, chi yaw and positive where the measured bogie or axle 1 moves to
+the left; rho_t tau_i is the rise of a frame's corners in torsion. f = +1, -1 if the measured bogie
+leads or trails, t likewise for axle 1. With w, x, v the height of the track under a wheelset, its
+angle and its lateral place, the stretches are::
+
+    primary, corner    kappa_p / 2   z_i + eps psi_i + s b_p theta_i + eps s rho_t tau_i
+                                       - w - s b_p x
+    secondary, side    kappa_s       z + p q + sigma phi + s b_s theta - z_i - s b_s theta_i
+    guidance           2 gamma       psi_i
+    longitudinal, side kappa_x       f (h_2 / L) (phi + sigma slope q) + t (h_3 / a) psi_i
+                                       - s b_s (f chi / L - t chi_i / a)
+    yaw damper, side   kappa_d       likewise, with h_2 - h_d, h_3 + h_d and b_d
+    anti-roll bar      k_bar         theta - theta_i
+    lateral            2 kappa_y     y + sigma chi + h_2 theta - y_i + h_3 theta_i
+    axle guide         2 kappa_g     y_i + eps chi_i + h_g theta_i - y_w
+    axle boxes         2 kappa_b     (b_p / a) (chi_i - chi_w)
+    bending, torsion   kappa_q, k_t  q, tau_i
+
+y_w is v - r_0 x, so that the wheelset stays on its track, or a coordinate with creep. With the
+speed V, half gauge b_r, conicity lambda and creep coefficients of a wheel, c along and rho c across
+(linear), the wheelset is pulled by its creepages to the left and in yaw::
+
+    F   = -2 rho c (s (y_w + r_0 x) / V - t chi_w / a)
+    M   = -2 c b_r (lambda (y_w + r_0 x - v) / r_0 + s b_r t chi_w / (a V))
+
+Gravity and the stiffness of flanges are left out: both are small against creep above 0.3 Hz. What
+the vehicle's parts do not have is held at 0.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from suspnet.ground.types import FloatArray
+from suspnet.vehicle.motion import LinearSystem
+from suspnet.vehicle.spatial_numbers import ADDITIONS, LATERAL
+from suspnet.vehicle.vertical_motion import (
+    RAIL_LATERAL_M,
+    Acting,
+    Element,
+    Layout,
+    assembled,
+    behind_of,
+    bending_element,
+    guidance_element,
+    lateral_element,
+    links_of,
+    primary_element,
+    secondary_element,
+)
+
+T = TypeVar("T")
+Row = dict[str, Tensor | float]
+"""Factors of coordinates and inputs by name, numbers or tensors of shape (n_vehicles, 1)."""
+TORSION_MASS = 0.2
+"""Modal mass of the torsion over the frame's mass."""
+SIGNS = {"left": 1.0, "right": -1.0, "middle": 0.0}
+"""Lateral place of a side in units of that of the left one."""
+
+
+@dataclass(frozen=True)
+class Joint:
+    """An element, its stretch, and what it pulls: the coordinates of the stretch if None."""
+
+    element: Element
+    stretch: Row
+    pull: Row | None = None
+
+
+def coordinates(parts: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the coordinates of a vehicle with these parts."""
+    rigid = ("z", "phi", "y", "theta", "z_1", "psi_1", "theta_1", "z_2", "psi_2", "theta_2")
+    further = {"bending": ("q",), **ADDITIONS}
+    return rigid + tuple(name for part, names in further.items() if part in parts for name in names)
+
+
+def wheel_inputs(parts: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of height, angle and lateral place of the track under each wheelset."""
+    kinds = "wxv" if is_lateral(parts) else "wx"
+    return tuple(f"{kind}{wheel}" for kind in kinds for wheel in range(1, 5))
+
+
+def is_lateral(parts: Iterable[str]) -> bool:
+    """Return whether the alignment of the track moves anything."""
+    return any(part in LATERAL for part in parts)
+
+
+def masses(parts: Sequence[str], p: Mapping[str, Tensor]) -> list[Tensor]:
+    """Return the mass of each coordinate [kg], of an angle in rad the inertia, (n_vehicles, 1)."""
+    body, frame = 4 * p["M_s"], 2 * p["bogie_mass"]
+    bodily = (p["body_gyration"] / p["half_pivot_distance"]) ** 2
+    pitch = (p["bogie_gyration"] / p["half_wheelbase"]) ** 2
+    mass_of = {"z": body, "y": body, "phi": body * bodily, "q": body / 2}
+    mass_of |= {"theta": body * p["body_roll_gyration"] ** 2}
+    mass_of |= {"chi": body * bodily * p["body_yaw"] ** 2}
+    for i in "12":
+        mass_of |= {f"z_{i}": frame, f"y_{i}": frame, f"psi_{i}": frame * pitch}
+        mass_of |= {f"theta_{i}": frame * p["bogie_roll_gyration"] ** 2}
+        mass_of |= {f"chi_{i}": frame * pitch * p["bogie_yaw"] ** 2}
+        mass_of |= {f"tau_{i}": frame * TORSION_MASS}
+    turned = (p["wheelset_yaw_gyration"] / p["half_wheelbase"]) ** 2
+    for wheel in range(1, 5):
+        mass_of |= {f"y_w{wheel}": p["wheelset_mass"], f"chi_w{wheel}": p["wheelset_mass"] * turned}
+    return [mass_of[name] for name in coordinates(parts)]
+
+
+def acting(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
+    """Return every element of vehicles whose numbers `p` have the shape (n_vehicles, 1)."""
+    parts = layout.parts
+    joints = [*_suspensions(layout, p), *_linked(layout, p)]
+    if "bending" in parts:
+        joints.append(Joint(bending_element(p, layout.empty_body_kg).times(2), {"q": 1.0}))
+    if "torsion" in parts:
+        own = 2 * math.pi * p["torsion_frequency"]
+        mass = 2 * p["bogie_mass"] * TORSION_MASS
+        torsion = Element(mass * own**2, 2 * p["torsion_damping"] * mass * own)
+        joints += [Joint(torsion, {f"tau_{i}": 1.0}) for i in "12"]
+    if is_lateral(parts):
+        joints += _guided(layout, p)
+    if "creep" in parts:
+        joints += _creeping(layout, p)
+    return joints
+
+
+def _corner(i: int, end: float, lateral: Tensor | float, p: Mapping[str, Tensor]) -> Row:
+    """Return the rise of frame `i` above axle 1 (`end` 1), axle 2 (-1) or at its centre (0)."""
+    twist = p["torsion_rise"] * end * lateral / p["primary_lateral"]
+    return {f"z_{i}": 1.0, f"psi_{i}": end, f"theta_{i}": lateral, f"tau_{i}": twist}
+
+
+def _suspensions(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
+    """Return the springs and dampers of both bogies, and what acts on their pitch and roll."""
+    parts, joints = layout.parts, []
+    guidance = guidance_element(p).times(2)
+    bar = Element(p["anti_roll_bar"], None)
+    for i, which, sigma in ((1, "", 1.0), (2, "other_", -1.0)):
+        for side in ("left", "right"):
+            lateral = SIGNS[side] * p["primary_lateral"]
+            for axle, end in ((1, 1.0), (2, -1.0)):
+                wheel = axle + 2 * (i - 1)
+                corner = f"_axle{axle}_{side}"
+                spring = primary_element(p, which, parts, corner).times(0.5)
+                track: Row = {f"w{wheel}": -1.0, f"x{wheel}": -lateral}
+                joints.append(Joint(spring, {**_corner(i, end, lateral, p), **track}))
+            spring = secondary_element(p, which, parts, f"_{side}")
+            lateral = SIGNS[side] * p["secondary_lateral"]
+            body: Row = {"z": 1.0, "q": p["bending_at_pivot"], "phi": sigma, "theta": lateral}
+            joints.append(Joint(spring, {**body, f"z_{i}": -1.0, f"theta_{i}": -lateral}))
+        if "guidance" in parts:
+            joints.append(Joint(guidance, {f"psi_{i}": 1.0}))
+        joints.append(Joint(bar, {"theta": 1.0, f"theta_{i}": -1.0}))
+    return joints
+
+
+def _linked(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
+    """Return links, yaw dampers and lateral suspension between body and bogies."""
+    f, t = _ends(layout)
+    a, pivot = p["half_wheelbase"], p["half_pivot_distance"]
+    aside = lateral_element(p).times(2)
+    halves = {"longitudinal": "secondary_lateral", "yaw_dampers": "yaw_lateral"}
+    half_m = [p[name] for part, name in halves.items() if part in layout.parts]
+    along = list(zip(links_of(p, layout.parts), half_m, strict=True))
+    joints = []
+    for i, sigma in (1, 1.0), (2, -1.0):
+        for (element, below_body, above_bogie), half in along:
+            body, bogie = f * below_body / pivot, t * above_bogie / a
+            pitched: Row = {"phi": body, "q": sigma * p["bending_slope"] * body, f"psi_{i}": bogie}
+            for lateral in half, -half:
+                yawed: Row = {"chi": -f * lateral / pivot, f"chi_{i}": t * lateral / a}
+                joints.append(Joint(element, {**pitched, **yawed}))
+        swayed: Row = {"y": 1.0, "chi": sigma, "theta": p["body_lever"]}
+        swayed |= {f"y_{i}": -1.0, f"theta_{i}": p["bogie_lever"]}
+        joints.append(Joint(aside, swayed))
+    return joints
+
+
+def _guided(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
+    """Return what holds the wheelsets in the frames."""
+    guide = Element(2 * p["guide_stiffness"], 2 * p["guide_damping"])
+    yawing = Element(2 * p["axle_box_stiffness"], 2 * p["axle_box_damping"])
+    joints = []
+    for wheel in range(1, 5):
+        i, end = 1 + (wheel > 2), 1.0 if wheel % 2 else -1.0
+        aside: Row = {f"y_{i}": 1.0, f"chi_{i}": end, f"theta_{i}": p["guide_lever"]}
+        if "creep" not in layout.parts:
+            held: Row = {f"v{wheel}": -1.0, f"x{wheel}": p["wheel_radius"]}
+            joints.append(Joint(guide, {**aside, **held}))
+            continue
+        joints.append(Joint(guide, {**aside, f"y_w{wheel}": -1.0}))
+        lever = p["primary_lateral"] / p["half_wheelbase"]
+        joints.append(Joint(yawing, {f"chi_{i}": lever, f"chi_w{wheel}": -lever}))
+    return joints
+
+
+def _creeping(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
+    """Return the creepages of the wheelsets; those that depend on speed are dampers."""
+    _, t = _ends(layout)
+    along = 2 * p["creep_coefficient"]
+    across = along * p["creep_ratio"]
+    none = torch.zeros_like(along)
+    creep, damper = Element(along, None), Element(none, along / p["speed"])
+    creep_aside, damper_aside = Element(across, None), Element(none, across / p["speed"])
+    lever, cone = RAIL_LATERAL_M / p["half_wheelbase"], p["conicity"] / p["wheel_radius"]
+    joints = []
+    for wheel in range(1, 5):
+        y, chi = f"y_w{wheel}", f"chi_w{wheel}"
+        joints += [
+            Joint(damper_aside, {y: 1.0, f"x{wheel}": p["wheel_radius"]}),
+            Joint(damper, {chi: lever}),
+            Joint(creep_aside, {chi: t / p["half_wheelbase"]}, {y: -1.0}),
+            Joint(
+                creep,
+                {y: cone, f"x{wheel}": p["conicity"], f"v{wheel}": -cone},
+                {chi: t * lever},
+            ),
+        ]
+    return joints
+
+
+def sensed(layout: Layout, p: Mapping[str, Tensor], sensors: Sequence[str]) -> list[Row]:
+    """Return what the sensors at some of ``PLACES`` see of coordinates and inputs."""
+    return [_seen(layout, p, place) for place in sensors]
+
+
+def _seen(layout: Layout, p: Mapping[str, Tensor], place: str) -> Row:
+    sign = SIGNS[place.rpartition("_")[2]]
+    if place.startswith("body"):
+        f, _ = _ends(layout)
+        ahead = 1 + f * layout.body_sensor_m / p["half_pivot_distance"]
+        bent: Row = {"z": 1.0, "q": p["bending_at_sensor"], "phi": ahead}
+        return {**bent, "theta": sign * p["body_lateral"]}
+    axle = next((axle for axle in (1, 2) if f"axle{axle}" in place), 0)
+    end = (0.0, 1.0, -1.0)[axle]
+    if place.startswith("frame"):
+        return _corner(1, end, sign * p["frame_lateral"], p)
+    lateral = sign * p["axle_box_lateral"]
+    box: Row = {f"w{axle}": 1.0, f"x{axle}": lateral}
+    if "axle_box_arm" not in layout.parts:
+        return box
+    arm, above = p["arm_share"], _corner(1, end, lateral, p)
+    seen: Row = {name: (1 - arm) * value for name, value in box.items()}
+    seen |= {name: arm * value for name, value in above.items()}
+    return seen
+
+
+def _ends(layout: Layout) -> tuple[float, float]:
+    """Return 1 for a leading, -1 for a trailing bogie; then the same for axle 1."""
+    signs = {"leading": 1.0, "trailing": -1.0}
+    return signs[layout.bogie], signs[layout.axle]
+
+
+def by_axle(layout: Layout, wheels: Sequence[T]) -> list[T]:
+    """Return what belongs to leading and trailing wheelsets of both bogies as axles 1, 2, 3, 4."""
+    order = (0, 1, 2, 3) if layout.axle == "leading" else (1, 0, 3, 2)
+    return [wheels[i] for i in order]
+
+
+def spatial_motion(layout: Layout, p: Mapping[str, Tensor], sensors: Sequence[str]) -> LinearSystem:
+    """Return the equations of motion of one vehicle, its inputs as `wheel_inputs` names them."""
+    names = [*coordinates(layout.parts), *wheel_inputs(layout.parts)]
+    units = dict(zip(names, np.eye(len(names)), strict=True))
+
+    def vector(row: Row) -> FloatArray:
+        total = np.zeros(len(names))
+        for name in row.keys() & units.keys():
+            total += float(row[name]) * units[name]
+        return total
+
+    # each element acts along its stretch, unless it pulls elsewhere
+    elements = [
+        Acting(
+            joint.element, vector(joint.stretch), None if joint.pull is None else vector(joint.pull)
+        )
+        for joint in acting(layout, p)
+    ]
+    seen = np.array([vector(row) for row in sensed(layout, p, sensors)])
+    n = {name: float(value) for name, value in p.items()}
+    behind = by_axle(layout, behind_of(n, layout.bogie, layout.axle))
+    system = assembled([float(m) for m in masses(layout.parts, p)], elements, seen, tuple(behind))
+    return replace(
+        system,
+        roll_per_m=math.sqrt(n["cross_level"]) / RAIL_LATERAL_M,
+        alignment=math.sqrt(n["alignment"]) if is_lateral(layout.parts) else 0.0,
+        lateral_m=(n["axle_box_lateral"], n["frame_lateral"], n["body_lateral"]),
+    )

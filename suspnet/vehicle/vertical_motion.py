@@ -1,0 +1,424 @@
+"""Springs and dampers of the vertical vehicle, and its motion in time assembled from them.
+
+Each element is a spring, a damper and Maxwell branches (a spring b in series with a damper b / r)::
+
+    kappa = k (1 + eta Lambda(s)) + c s + sum_i b_i s / (s + r_i)
+
+A damper c in series with a bushing k_b is the branch b = k_b, r = k_b / c. Rubber adds a branch of
+a fraction of k at about 5 Hz. An air spring with an auxiliary volume N times its own behind an
+orifice (Nishimura) is k_1 in series with k_2 parallel to the orifice, all parallel to the stiffness
+k_3 of the changing area: with k_s = k_3 + k_1 k_2 / (k_1 + k_2) and N = k_1 / k_2 this is the
+branch b = N k_1 k_2 / (k_1 + k_2), r = (k_1 + k_2) / c. c_s is its damping at low frequency, c
+times the square of k_1 / (k_1 + k_2).
+
+A constant loss factor, j eta at every frequency, is not causal and has no motion in time. Instead,
+Lambda(s) = sum_i l_i (s / (s + r_i) - (its real part at 2.7 Hz)) is a ladder of Maxwell branches
+(``LOSS_HZ``, ``LOSS_SHARES``). From 0.3 to 20 Hz its imaginary part is 1 within 1.3 %; the
+stiffness increases with frequency, as causality requires: (1 - 1.5 eta) k at 0.3 Hz, k at 2.7 Hz,
+(1 + 1.4 eta) k at 20 Hz.
+
+Motion: each of them acts along a stretch u = g z - h w of coordinates z and inputs w, and adds an
+outer product: k g g^T to the stiffness, k g h^T to that of the input. Letters and equations are
+those of `suspnet.vehicle.vertical_response`. The coordinates are z and phi of the body, z_i and
+psi_i of the measured bogie (1) and of the other one (2), q with bending, and with roll the lateral
+displacement y of the body and the three roll angles. The inputs are the mean of both rails under
+each wheelset, w, and with roll the angle of the track there, x.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from suspnet.ground.types import FloatArray
+from suspnet.vehicle.motion import Branch, LinearSystem
+
+LOSS_HZ = (0.2, 1.0, 5.0, 25.0)
+"""Relaxation frequencies of the branches that represent a loss factor, [Hz]."""
+LOSS_SHARES = (1.377, 1.004, 0.979, 1.421)
+"""Stiffness of each branch over eta k: the minimax fit of a loss of 1 from 0.3 to 20 Hz."""
+LOSS_REFERENCE_HZ = 2.7
+"""Frequency at which the ladder does not change the stiffness, the middle of its band, [Hz]."""
+RAIL_LATERAL_M = 0.75
+"""Half distance of the rails' centres at standard gauge [m]."""
+LEAST_DAMPING = 1e-3
+"""Damping of a yaw damper that is as good as none [N s/m]."""
+BOGIES = (("", "1", 1.0, ("a", "b")), ("other_", "2", -1.0, ("c", "d")))
+"""Each bogie: prefix of its numbers, suffix of its coordinates, sign of phi, its wheelsets."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Parts of a vehicle and places of its sensors, as the fields of ``VerticalVehicle``.
+
+    `empty_body_kg`: M_s without payload [kg], for which the bending frequency holds.
+    """
+
+    bogie: str
+    axle: str
+    frame_sensor: str
+    body_sensor_m: float
+    parts: tuple[str, ...]
+    empty_body_kg: float
+
+
+@dataclass(frozen=True)
+class Element:
+    """A spring and damper with Maxwell branches, its numbers of shape (n_vehicles, 1).
+
+    `stiffness` [N/m], `damping` [N s/m], `branches`: pairs of stiffness [N/m] and rate [1/s],
+    `loss`: loss factor of the spring [-]; None is absent.
+    """
+
+    stiffness: Tensor
+    damping: Tensor | None
+    branches: Sequence[tuple[Tensor, Tensor]] = ()
+    loss: Tensor | None = None
+
+    def at(self, omega: Tensor) -> Tensor:
+        """Return kappa at angular frequencies (n_freq,) [rad/s], (n_vehicles, n_freq), [N/m].
+
+        The shape is (n_vehicles, n_elements, n_freq) of elements that are `stacked`.
+        """
+        real, imaginary = self.stiffness, torch.zeros_like(self.stiffness)
+        if self.damping is not None:
+            imaginary = imaginary + self.damping * omega
+        if self.loss is not None:
+            lossy, (stored, lost) = self.loss * self.stiffness, _ladder(omega)
+            real, imaginary = real + lossy * stored, imaginary + lossy * lost
+        square = omega.square()
+        for stiffness, rate in self.branches:
+            share = stiffness * omega / (square + rate.square())
+            real = torch.addcmul(real, share, omega)
+            imaginary = torch.addcmul(imaginary, share, rate)
+        return torch.complex(*torch.broadcast_tensors(real, imaginary))
+
+    @classmethod
+    def stacked(cls, elements: Sequence[Element]) -> Element:
+        """Return elements as one, its numbers and kappa of shape (n_vehicles, n_elements, ...).
+
+        What an element has not is 0.
+        """
+        none = torch.zeros_like(elements[0].stiffness)
+
+        def column(values: Iterable[Tensor | None]) -> Tensor:
+            return torch.stack([none if value is None else value for value in values], dim=1)
+
+        # branches of stiffness 0 fill up those elements that have fewer than others
+        n_branches = max(len(element.branches) for element in elements)
+        absent = none, torch.ones_like(none)
+        padded = [[*element.branches, *[absent] * n_branches] for element in elements]
+        branches = [[of_element[j] for of_element in padded] for j in range(n_branches)]
+        return cls(
+            column(element.stiffness for element in elements),
+            column(element.damping for element in elements),
+            [(column(b for b, _ in pairs), column(r for _, r in pairs)) for pairs in branches],
+            column(element.loss for element in elements),
+        )
+
+    def times(self, factor: float) -> Element:
+        """Return as many of these elements side by side as a factor."""
+        return Element(
+            self.stiffness * factor,
+            None if self.damping is None else self.damping * factor,
+            [(factor * stiffness, rate) for stiffness, rate in self.branches],
+            self.loss,
+        )
+
+    def causal(self) -> tuple[float, float, dict[float, float]]:
+        """Return stiffness [N/m], damping [N s/m] and branches of one vehicle for motion in time.
+
+        The branches map a rate [1/s] to a stiffness [N/m]; they include the ladder of a loss
+        factor.
+        """
+        stiffness = float(self.stiffness)
+        damping = 0.0 if self.damping is None else float(self.damping)
+        pairs = [(float(b), float(rate)) for b, rate in self.branches]
+        if self.loss is not None:
+            lossy = float(self.loss) * stiffness
+            rates = 2 * math.pi * np.array(LOSS_HZ)
+            pairs += zip(lossy * np.array(LOSS_SHARES), rates.tolist(), strict=True)
+            square = (2 * math.pi * LOSS_REFERENCE_HZ) ** 2
+            stiffness -= lossy * float(np.dot(LOSS_SHARES, square / (square + rates**2)))
+        branches: dict[float, float] = {}
+        for b, rate in pairs:
+            branches[rate] = branches.get(rate, 0.0) + float(b)
+        return stiffness, damping, branches
+
+
+def _ladder(omega: Tensor) -> tuple[Tensor, Tensor]:
+    """Return real and imaginary part of Lambda at angular frequencies [rad/s], (n_freq,), [-]."""
+    stored, lost = torch.zeros_like(omega), torch.zeros_like(omega)
+    square, reference = omega.square(), (2 * math.pi * LOSS_REFERENCE_HZ) ** 2
+    for loss_hz, share in zip(LOSS_HZ, LOSS_SHARES, strict=True):
+        rate = 2 * math.pi * loss_hz
+        branch = share / (square + rate**2)
+        stored = stored + square * branch - share * reference / (reference + rate**2)
+        lost = lost + rate * omega * branch
+    return stored, lost
+
+
+def primary_element(
+    p: Mapping[str, Tensor], which: str, parts: Sequence[str], place: str = ""
+) -> Element:
+    """Return the primary suspension of the measured ("") or the other bogie ("other_").
+
+    `place` is the end of the names of its numbers, "" or that of a corner, "_axle1_left".
+    """
+    stiffness, damping = p[f"{which}k_p{place}"], p[f"{which}c_p{place}"]
+    branches: list[tuple[Tensor, Tensor]] = []
+    if "bushings" in parts:
+        branches.append((p["primary_bushing"], p["primary_bushing"] / damping))
+    if "rubber" in parts:
+        branches.append((p["rubber_share"] * stiffness, 2 * math.pi * p["rubber_frequency"]))
+    return Element(
+        stiffness,
+        None if "bushings" in parts else damping,
+        branches,
+        p["rubber_loss"] if "rubber" in parts else None,
+    )
+
+
+def secondary_element(
+    p: Mapping[str, Tensor], which: str, parts: Sequence[str], place: str = ""
+) -> Element:
+    """Return the secondary suspension of the measured ("") or the other bogie ("other_").
+
+    `place` is the end of the names of its numbers, "" or that of a side, "_left".
+    """
+    stiffness, damping = p[f"{which}k_s{place}"], p[f"{which}c_s{place}"]
+    if "air_spring" in parts:
+        ratio = p["volume_ratio"]
+        volumes = (1 - p["area_share"]).clamp(min=0.0) * stiffness
+        orifice = damping * ((1 + ratio) / ratio) ** 2
+        # k_1 + k_2 = volumes (1 + N)^2 / N
+        rate = volumes * (1 + ratio) ** 2 / ratio / orifice
+        return Element(stiffness, None, [(ratio * volumes, rate)])
+    if "bushings" in parts:
+        bushing = p["secondary_bushing"]
+        return Element(stiffness, None, [(bushing, bushing / damping)])
+    return Element(stiffness, damping)
+
+
+def guidance_element(p: Mapping[str, Tensor]) -> Element:
+    """Return the axle guidance of one bogie side, which acts on its pitch times a."""
+    return Element(
+        p["guidance_stiffness"] * p["healthy_k_p"], p["guidance_damping"] * p["healthy_c_p"]
+    )
+
+
+def longitudinal_element(p: Mapping[str, Tensor]) -> Element:
+    """Return the longitudinal links between body and bogie, for one side."""
+    return Element(p["longitudinal_stiffness"], p["longitudinal_damping"])
+
+
+def yaw_damper_element(p: Mapping[str, Tensor]) -> Element:
+    """Return one yaw damper in series with its bushings."""
+    damping = p["yaw_damping"]
+    # the rate of the branch would be infinite without any damping
+    damping = torch.where(damping.abs() < LEAST_DAMPING, LEAST_DAMPING, damping)
+    return Element(
+        torch.zeros_like(damping), None, [(p["yaw_bushing"], p["yaw_bushing"] / damping)]
+    )
+
+
+def links_of(p: Mapping[str, Tensor], parts: Sequence[str]) -> list[tuple[Element, Tensor, Tensor]]:
+    """Return what links body and bogie along the train, for one side.
+
+    Each is an element with its levers below the body's and above the bogie's centre [m].
+    """
+    body, bogie = p["body_lever"], p["bogie_lever"]
+    found = []
+    if "longitudinal" in parts:
+        found.append((longitudinal_element(p), body, bogie))
+    if "yaw_dampers" in parts:
+        height = p["yaw_height"]
+        found.append((yaw_damper_element(p), body - height, bogie + height))
+    return found
+
+
+def lateral_element(p: Mapping[str, Tensor]) -> Element:
+    """Return the lateral suspension between body and bogie, for one side."""
+    return Element(p["lateral_stiffness"], p["lateral_damping"])
+
+
+def bending_element(p: Mapping[str, Tensor], empty_kg: float) -> Element:
+    """Return the body's first bending per modal mass of M_s; payload does not stiffen it."""
+    own = 2 * math.pi * p["bending_frequency"]
+    return Element(empty_kg * own**2, 2 * p["bending_damping"] * empty_kg * own)
+
+
+def laden(p: dict[str, Tensor], empty_kg: float) -> dict[str, Tensor]:
+    """Return the numbers with what the payload changes; the suspension is that when empty."""
+    mass = p["M_s"] / empty_kg
+    stiffer, tighter = mass ** p["stiffness_exponent"], mass ** p["damping_exponent"]
+    changed = {name: p[name] * stiffer for name in p if name.startswith(("k_s", "other_k_s"))}
+    changed |= {name: p[name] * tighter for name in p if name.startswith(("c_s", "other_c_s"))}
+    # the stiffness of the empty body alone makes it fall with the root of the mass
+    changed["bending_frequency"] = p["bending_frequency"] * mass ** (0.5 - p["bending_exponent"])
+    changed["body_gyration"] = p["body_gyration"] * mass ** p["gyration_exponent"]
+    return p | changed
+
+
+class Acting(NamedTuple):
+    """An element with the vector (g, -h) of its stretch over coordinates and inputs.
+
+    `pull` is the vector of its force, None where that is the stretch's: creep pulls elsewhere.
+    """
+
+    element: Element
+    stretch: FloatArray
+    pull: FloatArray | None = None
+
+
+def vertical_motion(layout: Layout, p: Mapping[str, Tensor]) -> LinearSystem:
+    """Return the equations of motion of one vehicle.
+
+    `p` holds ``PARAMETERS`` and ``UNMEASURED`` in SI units, tensors of one element.
+    """
+    parts, bogie, axle = layout.parts, layout.bogie, layout.axle
+    n = {name: float(value) for name, value in p.items()}
+    masses = _masses(n, parts)
+    # a unit vector for each coordinate and each motion of a wheelset
+    inputs = [f"{kind}_{wheel}" for kind in "wx"[: 1 + ("roll" in parts)] for wheel in "abcd"]
+    e = dict(zip([*masses, *inputs], np.eye(len(masses) + len(inputs)), strict=True))
+    forward = 1.0 if bogie == "leading" else -1.0
+    vehicle = _Vehicle(p, n, parts, e)
+    acting = [*vehicle.suspensions(), *vehicle.links(forward)]
+    if "bending" in parts:
+        acting.append(Acting(bending_element(p, layout.empty_body_kg), e["q"]))
+    if "roll" in parts:
+        acting += vehicle.rolling()
+    # the measured points: of the frame in the middle or above an axle, of the body near the bogie
+    frame, body = e["z_1"].copy(), vehicle.above("bending_at_sensor")
+    if layout.frame_sensor == "axle":
+        frame += e["psi_1"] if axle == "leading" else -e["psi_1"]
+    body += (1 + forward * layout.body_sensor_m / n["half_pivot_distance"]) * e["phi"]
+    sensors = np.array([frame, body])
+    if "roll" in parts:
+        lean = np.array([n["frame_lateral"] * e["theta_1"], n["body_lateral"] * e["theta"]])
+        sensors = np.vstack([sensors + lean, sensors - lean])
+    system = assembled(list(masses.values()), acting, sensors, behind_of(n, bogie, axle))
+    if "roll" not in parts:
+        return system
+    roll_per_m = math.sqrt(n["cross_level"]) / RAIL_LATERAL_M
+    lateral_m = n["axle_box_lateral"], n["frame_lateral"], n["body_lateral"]
+    return replace(system, roll_per_m=roll_per_m, lateral_m=lateral_m)
+
+
+def _masses(n: Mapping[str, float], parts: Sequence[str]) -> dict[str, float]:
+    """Return each coordinate with its mass, or its moment of inertia if it is an angle."""
+    bogie = n["bogie_mass"]
+    pitch = bogie * (n["bogie_gyration"] / n["half_wheelbase"]) ** 2
+    body_pitch = 2 * n["M_s"] * (n["body_gyration"] / n["half_pivot_distance"]) ** 2
+    masses = {"z": 2 * n["M_s"], "phi": body_pitch}
+    masses |= {"z_1": bogie, "psi_1": pitch, "z_2": bogie, "psi_2": pitch}
+    if "bending" in parts:
+        masses["q"] = n["M_s"]
+    if "roll" in parts:
+        roll = bogie * n["bogie_roll_gyration"] ** 2
+        masses["y"] = 2 * n["M_s"]
+        masses["theta"] = masses["y"] * n["body_roll_gyration"] ** 2
+        masses |= {"theta_1": roll, "theta_2": roll}
+    return masses
+
+
+@dataclass(frozen=True)
+class _Vehicle:
+    """Elements of a vehicle: `p`, `n` its numbers, `e` the unit vector of each coordinate."""
+
+    p: Mapping[str, Tensor]
+    n: Mapping[str, float]
+    parts: Sequence[str]
+    e: Mapping[str, FloatArray]
+
+    def above(self, shape: str) -> FloatArray:
+        """Return the body's bounce, with its bending of the given `shape` at a pivot or sensor."""
+        n, e = self.n, self.e
+        return e["z"] + n[shape] * e["q"] if "bending" in self.parts else e["z"].copy()
+
+    def suspensions(self) -> list[Acting]:
+        """Return primary and secondary suspensions in bounce and pitch, and the axle guidance."""
+        p, parts, e = self.p, self.parts, self.e
+        acting = []
+        body = self.above("bending_at_pivot")
+        for which, i, sign, (first, last) in BOGIES:
+            primary = primary_element(p, which, parts)
+            acting += [
+                Acting(primary, e[f"z_{i}"] - 0.5 * (e[f"w_{first}"] + e[f"w_{last}"])),
+                Acting(primary, e[f"psi_{i}"] - 0.5 * (e[f"w_{first}"] - e[f"w_{last}"])),
+                Acting(secondary_element(p, which, parts), body + sign * e["phi"] - e[f"z_{i}"]),
+            ]
+            if "guidance" in parts:
+                acting.append(Acting(guidance_element(p), e[f"psi_{i}"]))
+        return acting
+
+    def links(self, forward: float) -> list[Acting]:
+        """Return the links along the train; phi is positive if the measured bogie rises."""
+        n, e = self.n, self.e
+        acting = []
+        for element, below_body, above_bogie in links_of(self.p, self.parts):
+            body_lever = forward * float(below_body) / n["half_pivot_distance"]
+            lever = float(above_bogie) / n["half_wheelbase"]
+            for _, i, sign, _ in BOGIES:
+                turned = e["phi"].copy()
+                if "bending" in self.parts:
+                    turned += sign * n["bending_slope"] * e["q"]
+                acting.append(Acting(element, body_lever * turned + lever * e[f"psi_{i}"]))
+        return acting
+
+    def rolling(self) -> list[Acting]:
+        """Return the suspensions in roll and sway, for one side."""
+        p, n, parts, e = self.p, self.n, self.parts, self.e
+        acting = []
+        aside = e["y"] + n["body_lever"] * e["theta"]
+        for which, i, _, (first, last) in BOGIES:
+            own, track = e[f"theta_{i}"], 0.5 * (e[f"x_{first}"] + e[f"x_{last}"])
+            across = e["theta"] - own
+            acting += [
+                Acting(primary_element(p, which, parts), n["primary_lateral"] * (own - track)),
+                Acting(secondary_element(p, which, parts), n["secondary_lateral"] * across),
+                Acting(Element(p["anti_roll_bar"] / 2, None), across),
+                Acting(lateral_element(p), aside + n["bogie_lever"] * own),
+            ]
+        return acting
+
+
+def assembled(
+    masses: list[float], acting: list[Acting], sensors: FloatArray, behind_m: tuple[float, ...]
+) -> LinearSystem:
+    """Return the system of these masses, with each element added along its stretch."""
+    n, n_all = len(masses), sensors.shape[1]
+    stiffness, damping = np.zeros((2, n_all, n_all))
+    branches = []
+    for element, stretch, pull in acting:
+        k, c, relaxing = element.causal()
+        square = np.outer(stretch if pull is None else pull, stretch)
+        stiffness += k * square
+        damping += c * square
+        branches += [Branch(b, rate, stretch[:n], -stretch[n:]) for rate, b in relaxing.items()]
+    return LinearSystem(
+        mass=np.diag(masses),
+        damping=damping[:n, :n],
+        stiffness=stiffness[:n, :n],
+        input_damping=-damping[:n, n:],
+        input_stiffness=-stiffness[:n, n:],
+        sensors=sensors[:, :n],
+        feedthrough=sensors[:, n:] if sensors[:, n:].any() else None,
+        behind_m=behind_m,
+        branches=tuple(branches),
+    )
+
+
+def behind_of(n: Mapping[str, float], bogie: str, axle: str) -> tuple[float, ...]:
+    """Return the distances of the wheelsets behind the measured one, its own bogie first, [m]."""
+    shift = n["half_wheelbase"] if axle == "leading" else -n["half_wheelbase"]
+    pivots = 2 * n["half_pivot_distance"] * (1 if bogie == "leading" else -1)
+    own = [shift - n["half_wheelbase"], shift + n["half_wheelbase"]]
+    return (*own, *(pivots + distance for distance in own))

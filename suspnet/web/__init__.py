@@ -1,1 +1,0 @@
-"""Web pages that show a fleet while trips come in: ``suspnet serve``."""

@@ -1,0 +1,461 @@
+"""Bounds: Fisher information, Cramer-Rao, and the limit where the mass cannot be told apart."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import reference
+from protocols import shipped_protocol
+from scipy.optimize import least_squares
+
+from suspnet.bounds.information import (
+    best_possible,
+    cramer_rao,
+    fisher_information,
+    output_bounds,
+    range_limited,
+    relative_percent,
+    scale_ambiguity_bound,
+)
+from suspnet.curves.curves import CurveSettings
+from suspnet.curves.problem import TEST
+from suspnet.vehicle import PARAMETERS
+
+OBSERVED = CurveSettings()
+FREQUENCIES = OBSERVED.frequencies_hz()
+DEGRADED = np.array([0.8, 1.3, 1.2, 0.9, 1.1])
+
+
+def bound(quarter_car, ratios, **options):
+    return cramer_rao(fisher_information(OBSERVED.observer(quarter_car), ratios, **options))
+
+
+def continuous_population(task, n, seed):
+    """Return ratios with k_s, c_s uniform in their range and the mass on its grid."""
+    rng = np.random.default_rng(seed)
+    ratios = np.ones((n, 5))
+    ratios[:, 2:4] = rng.uniform(task.lower, task.upper, (n, 2))
+    ratios[:, 4] = rng.choice(task.levels("M_s"), n)
+    return ratios
+
+
+# reference
+
+
+@pytest.mark.parametrize(
+    ("parameters", "responses"),
+    [
+        (PARAMETERS, ("G_p", "G_s")),
+        (("k_p", "c_p"), ("G_p",)),
+        (("k_s", "c_s"), ("G_s",)),
+        (("M_s", "k_p"), ("G_s", "G_p")),
+    ],
+)
+def test_fisher_information_equals_finite_differences(quarter_car, parameters, responses):
+    observer = OBSERVED.observer(quarter_car)
+    found = fisher_information(observer, DEGRADED[None], parameters, responses)[0]
+    expected = reference.fisher_by_differences(
+        quarter_car.vehicle,
+        DEGRADED,
+        FREQUENCIES.numpy(),
+        34.0,
+        [PARAMETERS.index(name) for name in parameters],
+        [("G_p", "G_s").index(name) for name in responses],
+    )
+    size = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    assert size.min() > 0
+    # central differences with a step of 1e-5 are exact to about 1e-8
+    np.testing.assert_allclose(found / size, expected / size, rtol=0, atol=1e-6)
+
+
+def test_cramer_rao_is_reached_by_least_squares(quarter_car):
+    """An efficient estimator: least squares on noisy curves, weighted by the known noise."""
+    frequencies, n_draws = FREQUENCIES.numpy(), 100
+    clean = reference.magnitudes(quarter_car.vehicle, DEGRADED, frequencies)
+    rms = np.sqrt((clean**2).mean(axis=1, keepdims=True)) * 10 ** (-34 / 20)
+    rng = np.random.default_rng(0)
+    estimates = []
+    for _ in range(n_draws):
+        noisy = clean + rms * rng.standard_normal(clean.shape)
+
+        def residual(x, noisy=noisy):
+            return (
+                (reference.magnitudes(quarter_car.vehicle, x, frequencies) - noisy) / rms
+            ).ravel()
+
+        estimates.append(least_squares(residual, DEGRADED, method="lm").x)
+    least = bound(quarter_car, DEGRADED[None])[0]
+    scatter = np.std(estimates, axis=0, ddof=1)
+    # a standard deviation from 100 draws is known to 1 / sqrt(200) = 7 %; three of those
+    np.testing.assert_allclose(scatter / least, 1.0, atol=0.21)
+    bias = np.mean(estimates, axis=0) - DEGRADED
+    assert (np.abs(bias) < 4 * least / math.sqrt(n_draws)).all()
+
+
+def test_cramer_rao_of_a_small_matrix_by_hand():
+    information = np.array([[[4.0, 0.0], [0.0, 100.0]], [[2.0, 1.0], [1.0, 2.0]]])
+    # inverses: diag(1/4, 1/100) and [[2, -1], [-1, 2]] / 3
+    expected = [[0.5, 0.1], [math.sqrt(2 / 3), math.sqrt(2 / 3)]]
+    np.testing.assert_allclose(cramer_rao(information), expected, rtol=1e-12)
+
+
+def least_error_by_sums(theta, s, low, high):
+    """Return the rms error of the posterior mean: sums over the noise, and over the range."""
+    noise = np.linspace(-8, 8, 2001)
+    inside = low + (high - low) * (np.arange(3000) + 0.5) / 3000
+    posterior = np.exp(-(((theta + s * noise[:, None] - inside) / s) ** 2) / 2)
+    mean = posterior @ inside / posterior.sum(axis=1)
+    weights = np.exp(-(noise**2) / 2)
+    return math.sqrt(weights @ (mean - theta) ** 2 / weights.sum())
+
+
+@pytest.mark.every_value
+@pytest.mark.parametrize("s", [0.02, 0.1, 0.5, 3.0])
+@pytest.mark.parametrize("theta", [0.5, 0.55, 0.8, 1.25, 1.9, 2.0])
+def test_range_limited_error_is_that_of_the_posterior_mean(s, theta):
+    found = range_limited(np.array([s]), np.array([theta]), 0.5, 2.0)[0]
+    # the sum over the range is exact to 1e-4, the quadrature over the noise to a few 1e-3
+    assert found == pytest.approx(least_error_by_sums(theta, s, 0.5, 2.0), rel=5e-3)
+
+
+def test_range_limited_error_is_reached_by_the_best_of_many_estimators():
+    """Draw parameters and estimates; predict the mean of the parameters seen about an estimate."""
+    rng = np.random.default_rng(7)
+    low, high, s, n = 0.5, 2.0, 0.4, 400_000
+    theta = rng.uniform(low, high, (2, n))
+    cells = np.floor((theta + s * rng.standard_normal((2, n)) + 2) / 0.02).astype(int)
+    counts = np.bincount(cells[0], minlength=400)
+    learnt = np.bincount(cells[0], theta[0], minlength=400) / np.maximum(counts, 1)
+    error = learnt[cells[1]] - theta[1]
+    levels = np.linspace(low, high, 601)
+    least = range_limited(np.full(601, s), levels, low, high)
+    assert math.sqrt(np.mean(least**2)) == pytest.approx(error.std(), rel=0.01)
+    assert error.std() < 0.85 * s
+
+
+def test_bounds_of_the_joint_protocol_are_those_of_the_design_page(task, quarter_car):
+    ratios = task("joint", "all").sample(512, seed=0, stream=TEST)
+    relative = 100 * np.median(bound(quarter_car, ratios) / ratios, axis=0)
+    # design section 3 item 4, an independent prototype, two digits
+    np.testing.assert_allclose(relative, [0.12, 1.8, 0.23, 0.28, 0.23], rtol=0.1)
+
+
+@pytest.mark.parametrize(
+    ("group", "expected"), [("primary", [0.09, 0.92]), ("secondary", [0.09, 0.11])]
+)
+def test_bounds_of_the_groups_are_those_of_the_design_page(task, quarter_car, group, expected):
+    problem = task("multi_location", group)
+    ratios = problem.sample(512, seed=0, stream=TEST)
+    bounds = bound(quarter_car, ratios, parameters=problem.unknown)[:, :2]
+    relative = 100 * np.median(bounds / ratios[:, problem.output_indices], axis=0)
+    np.testing.assert_allclose(relative, expected, rtol=0.1)
+
+
+def test_scale_ambiguity_bound_is_that_of_the_design_page(task):
+    problem = task("own_curve", "secondary")
+    limit = scale_ambiguity_bound(problem, continuous_population(problem, 200_000, seed=0))
+    for name in ("k_s", "c_s"):
+        assert limit[name]["mape_percent"] == pytest.approx(15.7, abs=0.15)
+        assert limit[name]["rmse"] == pytest.approx(0.232, abs=0.002)
+
+
+def test_scale_ambiguity_bound_equals_a_predictor_learnt_by_counting(task):
+    """Count the masses met in each small cell of (k_s / M_s, c_s / M_s); predict from the counts.
+
+    The counts come from one population and the errors from another.
+    """
+    problem, n_cells = task("own_curve", "secondary"), 60
+    levels = problem.levels("M_s")
+
+    def population(n, seed):
+        ratios = continuous_population(problem, n, seed)
+        mass = ratios[:, 4]
+        place = np.log(ratios[:, 2:4] / mass[:, None] / 0.25) / math.log(16) * n_cells
+        row, column = np.floor(place).astype(int).T
+        return ratios, row * n_cells + column
+
+    ratios, cell = population(1_000_000, seed=1)
+    counts = np.zeros((n_cells**2, len(levels)))
+    np.add.at(counts, (cell, np.rint((ratios[:, 4] - 0.5) / 0.1).astype(int)), 1)
+    share = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    mean = share @ levels
+    weights = np.cumsum(share / levels, axis=1)
+    median = levels[(weights >= 0.5 * weights[:, -1:]).argmax(axis=1)]
+
+    ratios, cell = population(300_000, seed=2)
+    mass, slope = ratios[:, 4], ratios[:, 2] / ratios[:, 4]
+    mape = 100 * np.mean(np.abs(median[cell] / mass - 1))
+    rmse = math.sqrt(np.mean((slope * (mean[cell] - mass)) ** 2))
+    limit = scale_ambiguity_bound(problem, ratios)["k_s"]
+    # cells of finite width cost the counting predictor up to 1 %
+    assert limit["mape_percent"] == pytest.approx(mape, rel=0.015)
+    assert limit["rmse"] == pytest.approx(rmse, rel=0.015)
+    assert limit["mape_percent"] < mape + 0.05
+    assert limit["rmse"] < rmse + 0.001
+
+
+@pytest.mark.parametrize(("stiffness", "damping"), [(1.1, 1.2), (0.7, 0.9), (1.55, 0.7)])
+def test_scale_ambiguity_bound_equals_a_brute_force_posterior(task, stiffness, damping):
+    """A few possible masses; the best guess of k_s is searched on a fine grid."""
+    problem = task("own_curve", "secondary", mass_step=0.25)
+    levels = problem.levels("M_s")
+    assert levels.tolist() == [0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0]
+    # probability that uniform k_s, c_s fall in a small box about the given quotients
+    side = 1e-6
+
+    def overlap(quotient, m):
+        low, high = quotient * m, (quotient + side) * m
+        return max(0.0, min(high, problem.upper) - max(low, problem.lower))
+
+    posterior = np.array([overlap(stiffness, m) * overlap(damping, m) for m in levels])
+    posterior /= posterior.sum()
+    possible = posterior > 0
+    assert 3 <= possible.sum() < len(levels)
+    guesses = np.linspace(0.5, 2.0, 15_001)[:, None]
+    actual = stiffness * levels
+    by_mape = guesses[(np.abs(guesses / actual - 1) @ posterior).argmin(), 0]
+    by_rmse = guesses[((guesses - actual) ** 2 @ posterior).argmin(), 0]
+    for m in levels[possible]:
+        ratios = np.array([[1, 1, stiffness * m, damping * m, m]])
+        limit = scale_ambiguity_bound(problem, ratios)["k_s"]
+        # the guesses are 1e-4 apart
+        assert limit["mape_percent"] == pytest.approx(
+            100 * abs(by_mape / (stiffness * m) - 1), abs=0.03
+        )
+        assert limit["rmse"] == pytest.approx(abs(by_rmse - stiffness * m), abs=2e-4)
+
+
+# limit
+
+
+def test_g_s_alone_cannot_tell_stiffness_from_mass(quarter_car):
+    unknown = bound(
+        quarter_car, DEGRADED[None], parameters=("k_s", "c_s", "M_s"), responses=("G_s",)
+    )
+    assert np.isinf(unknown).all()
+
+
+def test_known_mass_makes_g_s_alone_enough(quarter_car):
+    known = bound(quarter_car, DEGRADED[None], parameters=("k_s", "c_s"), responses=("G_s",))
+    both = bound(quarter_car, DEGRADED[None], parameters=("k_s", "c_s"))
+    assert (known < 0.005).all()
+    assert (both > 0).all()
+    assert (both <= known).all()
+
+
+def test_singular_vehicles_do_not_spoil_the_others():
+    information = np.array([[[1.0, 1.0], [1.0, 1.0]], [[4.0, 0.0], [0.0, 4.0]]])
+    found = cramer_rao(information)
+    assert np.isinf(found[0]).all()
+    assert found[1].tolist() == pytest.approx([0.5, 0.5])
+
+
+def test_bound_does_not_depend_on_the_scale_of_parameters():
+    information = np.array([[[2.0, 1.0], [1.0, 2.0]]])
+    scale = np.array([1e-6, 1e6])
+    scaled = information * np.outer(scale, scale)
+    np.testing.assert_allclose(cramer_rao(scaled) * scale, cramer_rao(information), rtol=1e-9)
+
+
+# property
+
+
+def test_bounds_fall_with_the_noise(quarter_car):
+    information = [
+        fisher_information(replace(OBSERVED, snr_db=snr).observer(quarter_car), DEGRADED[None])
+        for snr in (34.0, 54.0)
+    ]
+    # 20 dB is a tenth of the noise
+    np.testing.assert_allclose(
+        cramer_rao(information[1]), 0.1 * cramer_rao(information[0]), rtol=1e-6
+    )
+
+
+def test_information_of_both_curves_is_the_sum_of_each(quarter_car):
+    parts = [
+        fisher_information(OBSERVED.observer(quarter_car), DEGRADED[None], responses=responses)
+        for responses in (("G_p",), ("G_s",), ("G_p", "G_s"))
+    ]
+    size = np.abs(parts[2]).max()
+    np.testing.assert_allclose(parts[0] + parts[1], parts[2], rtol=1e-9, atol=1e-12 * size)
+
+
+def test_information_of_many_vehicles_equals_one_by_one(task, quarter_car):
+    ratios = task("joint", "all").sample(260, seed=0, stream=TEST)  # more than one block
+    together = fisher_information(OBSERVED.observer(quarter_car), ratios)
+    assert together.shape == (260, 5, 5)
+    for row in (0, 255, 256, 259):
+        alone = fisher_information(OBSERVED.observer(quarter_car), ratios[row : row + 1])[0]
+        np.testing.assert_allclose(together[row], alone, rtol=1e-9)
+
+
+def test_knowing_the_mass_never_hurts(task, quarter_car):
+    ratios = task("own_curve", "primary").sample(100, seed=0, stream=TEST)
+    free = bound(quarter_car, ratios, parameters=("k_p", "c_p", "M_s"), responses=("G_p",))
+    known = bound(quarter_car, ratios, parameters=("k_p", "c_p"), responses=("G_p",))
+    assert (known <= free[:, :2] * (1 + 1e-9)).all()
+    assert (known < 0.99 * free[:, :2]).any()
+
+
+# best_possible
+
+
+def best(quarter_car, problem, n=200):
+    ratios = problem.sample(n, seed=0, stream=TEST)
+    bounds = output_bounds(problem, OBSERVED.observer(quarter_car), ratios)
+    return best_possible(problem, bounds, ratios), ratios
+
+
+def test_best_possible_is_the_ambiguity_where_the_mass_cannot_be_told_apart(task, quarter_car):
+    problem = task("own_curve", "secondary")
+    found, ratios = best(quarter_car, problem)
+    limit = scale_ambiguity_bound(problem, ratios)
+    assert found == {name: limit[name] for name in ("k_s", "c_s")}
+    assert found["k_s"]["mape_percent"] > 10
+
+
+@pytest.mark.parametrize(
+    ("name", "group", "changes"),
+    [
+        ("own_curve", "primary", {}),
+        pytest.param("own_curve", "secondary", {"mass_known": True}, marks=pytest.mark.slow),
+        pytest.param("multi_location", "primary", {}, marks=pytest.mark.slow),
+        pytest.param("multi_location", "secondary", {}, marks=pytest.mark.slow),
+        ("multi_location", "secondary", {"mass_known": True}),
+        ("multi_location", "secondary", {"estimate_mass": True}),
+        ("joint", "all", {}),
+    ],
+)
+def test_best_possible_is_the_cramer_rao_bound_elsewhere(task, quarter_car, name, group, changes):
+    problem = task(name, group, **changes)
+    found, ratios = best(quarter_car, problem)
+    unknown = list(problem.varied)
+    if "mass_known" in changes:
+        unknown.remove("M_s")
+    bounds = bound(quarter_car, ratios, parameters=unknown, responses=problem.responses)
+    assert tuple(found) == problem.outputs
+    for output in problem.outputs:
+        deviation = bounds[:, unknown.index(output)]
+        actual = ratios[:, PARAMETERS.index(output)]
+        # E|x| of a Gaussian is sqrt(2 / pi) of its standard deviation
+        mape = 100 * np.mean(math.sqrt(2 / math.pi) * deviation / actual)
+        assert found[output]["mape_percent"] == pytest.approx(mape)
+        assert found[output]["rmse"] == pytest.approx(math.sqrt(np.mean(deviation**2)))
+        assert 0 < found[output]["mape_percent"] < 10
+
+
+@pytest.mark.parametrize(
+    ("outputs", "varied", "limited_by_scale"),
+    [
+        (["k_s"], ("k_s", "M_s"), ()),
+        (["c_s"], ("c_s", "M_s"), ()),
+        (["k_p", "k_s"], ("k_s", "M_s"), ()),
+        (["k_p", "k_s", "c_s"], (), ("k_s", "c_s")),
+    ],
+)
+def test_best_possible_is_the_bound_of_what_varies(quarter_car, outputs, varied, limited_by_scale):
+    """G_s alone with the mass unknown: separable unless springs and dampers vary together."""
+    groups = {"one": {"outputs": outputs, "responses": ["G_s"], "peaks": ["secondary"]}}
+    problem = shipped_protocol("own_curve", groups=groups).task("one")
+    found, ratios = best(quarter_car, problem, n=20)
+    assert tuple(found) == problem.outputs
+    of_scale = scale_ambiguity_bound(problem, ratios)
+    columns = [PARAMETERS.index(name) for name in varied]
+    for name in outputs:
+        if name in limited_by_scale:
+            assert found[name] == of_scale[name]
+        elif name in varied:
+            every = [
+                reference.fisher_by_differences(
+                    quarter_car.vehicle, row, FREQUENCIES.numpy(), 34.0, columns, [1]
+                )
+                for row in ratios
+            ]
+            deviation = np.sqrt(np.linalg.inv(every)[:, 0, 0])
+            mape = 100 * np.mean(math.sqrt(2 / math.pi) * deviation / ratios[:, columns[0]])
+            assert found[name]["mape_percent"] == pytest.approx(mape, rel=1e-5)
+            assert mape < of_scale[name]["mape_percent"] / 50
+        else:  # G_s does not depend on it
+            assert found[name] == {"mape_percent": math.inf, "rmse": math.inf}
+
+
+def test_bounds_of_several_sets_are_those_of_the_vehicles_own(quarter_car, task):
+    problem = task("paper", "I")
+    observer = CurveSettings(snr_db=34.0).observer(quarter_car)
+    ratios = problem.sample(8, seed=0, stream=TEST)
+    bounds = output_bounds(problem, observer, ratios)
+    frequencies_hz = observer.frequencies_hz.numpy()
+    for row, bound in zip(ratios, bounds, strict=True):
+        springs = (row[[0, 2]] != 1).any()
+        columns = [0, 2, 4] if springs else [1, 3, 4]
+        information = reference.fisher_by_differences(
+            quarter_car.vehicle, row, frequencies_hz, 34.0, columns, [0, 1]
+        )
+        deviation = np.sqrt(np.linalg.inv(information)[0, 0])
+        expected = [deviation, 0] if springs else [0, deviation]
+        np.testing.assert_allclose(bound, expected, rtol=1e-4)
+    assert 0 < (bounds == 0).mean() < 1
+    anywhere = np.full((1, 5), 1.1)  # a vehicle of no set: everything is unknown
+    expected = cramer_rao(fisher_information(observer, anywhere))[:, :2]
+    np.testing.assert_allclose(output_bounds(problem, observer, anywhere), expected, rtol=1e-12)
+
+
+def test_a_known_healthy_part_has_no_error_at_best():
+    found = range_limited(np.zeros(2), np.array([1.0, 1.7]), 0.5, 2.0)
+    np.testing.assert_allclose(found, 0, atol=1e-9)
+
+
+def test_range_does_not_matter_far_from_its_edges():
+    bounds = np.array([0.001, 0.05, 0.1])
+    found = range_limited(bounds, np.array([0.6, 1.0, 1.25]), 0.5, 2.0)
+    np.testing.assert_allclose(found, bounds, rtol=1e-5)
+    # on an edge the mean is biased as much as it is steadied: E[(e + phi / Phi)^2] = 1
+    edges = range_limited(np.array([0.02, 0.02]), np.array([0.5, 2.0]), 0.5, 2.0)
+    np.testing.assert_allclose(edges, 0.02, rtol=1e-6)
+
+
+@pytest.mark.parametrize("bound", [1e3, 1e6, 1e12, math.inf])
+def test_without_information_the_range_is_all_that_is_known(bound):
+    ratios = np.linspace(0.5, 2.0, 1001)
+    found = range_limited(np.full(1001, bound), ratios, 0.5, 2.0)
+    # the best estimate is then always the middle
+    np.testing.assert_allclose(found, np.abs(ratios - 1.25), atol=1e-3)
+    assert math.sqrt(np.mean(found**2)) == pytest.approx(1.5 / math.sqrt(12), rel=2e-3)
+
+
+def test_matrix_that_is_not_finite_has_no_bounds_and_harms_no_other():
+    information = np.array([np.diag([4.0, 100.0])] * 4)
+    information[1, 0, 1] = math.nan
+    information[2, 1, 1] = math.inf
+    bounds = cramer_rao(information)
+    assert np.isinf(bounds[1:3]).all()
+    np.testing.assert_allclose(bounds[[0, 3]], [[0.5, 0.1]] * 2, rtol=1e-12)
+    assert np.isnan(information[1, 0, 1])
+
+
+def test_parameter_without_any_information_has_no_bound(quarter_car):
+    observer = OBSERVED.observer(quarter_car)
+    information = fisher_information(observer, np.ones((1, 5)), ("k_p", "k_s", "c_s"), ("G_s",))
+    seen = fisher_information(observer, np.ones((1, 5)), ("k_s", "c_s"), ("G_s",))
+    bounds = cramer_rao(information)[0]
+    assert np.isinf(bounds[0])
+    np.testing.assert_allclose(bounds[1:], cramer_rao(seen)[0], rtol=1e-9)
+
+
+def test_ambiguity_has_a_limit_for_the_mass_too(task, quarter_car):
+    problem = task("own_curve", "secondary", estimate_mass=True)
+    found, _ = best(quarter_car, problem)
+    assert set(found) == {"k_s", "c_s", "M_s"}
+    assert found["M_s"]["mape_percent"] == found["k_s"]["mape_percent"]
+
+
+def test_output_bounds_are_infinite_where_nothing_can_be_told(task, quarter_car):
+    ratios = np.ones((1, 5))
+    secondary = task("own_curve", "secondary")
+    bounds = output_bounds(secondary, OBSERVED.observer(quarter_car), ratios)
+    assert np.isinf(bounds).all()
+    known = task("own_curve", "secondary", mass_known=True)
+    bounds = output_bounds(known, OBSERVED.observer(quarter_car), 2 * ratios)
+    assert np.isfinite(bounds).all()
+    np.testing.assert_allclose(relative_percent(known, bounds, 2 * ratios), 50 * bounds[0])

@@ -1,0 +1,385 @@
+"""Parts of a bogie from spectral matrices: derivatives, known answers, bad input."""
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from vehicles import AM96
+
+from suspnet.estimation.commissioned_bogie import CommissionedBogie
+from suspnet.ground.parameters import COMPONENTS, FORWARD, REVERSE
+from suspnet.trains.fits import bogie_search
+from suspnet.trains.fits.bogie_fit import ALIGNED, EXPLAINED, commission_bogie, fit_parts
+from suspnet.trains.fits.bogie_search import BogieSearch, Found
+from suspnet.trains.identification.bogie_trips import PARTS_OF_BOGIE
+from suspnet.trains.spectra.bogie_trip import BogieTrip
+from suspnet.trains.spectra.subspace import SpectralMatrix
+from suspnet.vehicle import SpatialVehicle
+
+BINS = torch.arange(1.0, 12.0, 0.75, dtype=torch.float64)
+N_AVERAGES = 400
+MASSES = (0.95, 1.05, 1.15)
+UNCERTAIN = {f"healthy_{name}": 0.05 for name in COMPONENTS[:-1]} | {"healthy_k_s": 0.2}
+VEHICLE = SpatialVehicle(
+    AM96, parts=("bushings", "frame_sway", "frame_yaw", "body_yaw"), distribution=UNCERTAIN
+)
+NOISE = torch.tensor([4e-3, 4e-3, 5e-6, 5e-6, 2e-7, 2e-7], dtype=torch.float64)
+
+
+def drawn(vehicle, ratios, seed, n_averages=N_AVERAGES, exact=False):
+    """Return the spectral matrix of a trip, its inputs of any spectra and coherence."""
+    rng = np.random.default_rng(seed)
+    responses = vehicle.channels(ratios, BINS)[0].permute(2, 1, 0).numpy()
+    n_freq, n_sensors, n_inputs = responses.shape
+
+    def normal(*shape):
+        return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / math.sqrt(2)
+
+    inputs = normal(n_freq, n_inputs, n_inputs)
+    spectra = responses @ inputs @ inputs.conj().swapaxes(1, 2) @ responses.conj().swapaxes(1, 2)
+    spectra += np.diag(NOISE[:n_sensors])
+    if not exact:
+        root = np.linalg.cholesky(spectra)
+        signals = root @ normal(n_freq, n_sensors, n_averages)
+        spectra = signals @ signals.conj().swapaxes(1, 2) / n_averages
+    return SpectralMatrix(torch.as_tensor(spectra), n_averages)
+
+
+def trip(spectra, speed_m_per_s, direction=FORWARD):
+    """Return a trip on the bins of all of them."""
+    return BogieTrip(BINS, spectra, speed_m_per_s, direction)
+
+
+def true_vehicle(seed=0):
+    """Return a vehicle with numbers of its own, as one row of all columns."""
+    rng = np.random.default_rng(seed)
+    numbers = VEHICLE.distribution.ratios(rng.standard_normal((1, len(UNCERTAIN))))
+    return torch.as_tensor(numbers)
+
+
+def row(parts, mass=1.05, seed=0):
+    """Return all columns of the true vehicle with these ratios of parts."""
+    given = torch.ones(1, len(COMPONENTS), dtype=torch.float64)
+    for name, ratio in parts.items():
+        given[0, COMPONENTS.index(name)] = ratio
+    given[0, -1] = mass
+    return VEHICLE.with_uncertain(given, true_vehicle(seed))
+
+
+def ratios(parts, mass=1.05):
+    """Return the ratios of a worn vehicle, near which a search that is not tested here starts."""
+    return np.array([parts.get(name, 1.0) for name in COMPONENTS[:-1]] + [mass])
+
+
+@pytest.fixture(scope="module")
+def commissioned():
+    masses = MASSES
+    trips = [trip(drawn(VEHICLE, row({}, m), i), 70.0) for i, m in enumerate(masses)]
+    return commission_bogie(VEHICLE, trips)
+
+
+# reference
+
+
+def without(one, lost):
+    """Return a trip without some sensors of the vehicle."""
+    kept = [i for i, place in enumerate(VEHICLE.sensors) if place not in lost]
+    values = one.spectra.values[:, kept][:, :, kept]
+    return replace(one, spectra=replace(one.spectra, values=values), lost=tuple(lost))
+
+
+def test_bins_that_are_left_out_have_no_effect(commissioned):
+    worn = {"c_p_axle2_right": 0.6}
+    clean = trip(drawn(VEHICLE, row(worn), 9), 70.0)
+    left_out = torch.zeros(len(BINS), dtype=torch.bool)
+    left_out[[3, 7]] = True
+    values = clean.spectra.values.clone()
+    values[left_out, 0, 0] *= 10  # a line that one axle box alone feels
+    disturbed = replace(clean, spectra=replace(clean.spectra, values=values))
+    with_all, expected, found, spoilt = (
+        fit_parts(commissioned, one, start=ratios(worn))
+        for one in (
+            clean,
+            replace(clean, left_out=left_out),
+            replace(disturbed, left_out=left_out),
+            disturbed,
+        )
+    )
+    np.testing.assert_array_equal(found.values, expected.values)
+    np.testing.assert_array_equal(found.covariance, expected.covariance)
+    assert spoilt.misfit > 1.3 * found.misfit
+    # the bins that remain are all that the estimate rests on
+    widened = expected.deviations / with_all.deviations
+    assert 1 <= widened[:-1].max() < 2
+
+
+def test_healthy_trips_may_differ_in_the_bins_that_are_left_out(commissioned):
+    trips = [trip(drawn(VEHICLE, row({}, m), i), 70.0) for i, m in enumerate(MASSES)]
+    left_out = torch.arange(len(BINS)) == 5
+    trips[1].spectra.values[left_out, 0, 0] *= 100
+    found = commission_bogie(VEHICLE, [trips[0], replace(trips[1], left_out=left_out), trips[2]])
+    assert found.misfit == pytest.approx(commissioned.misfit, rel=0.05)
+    # the found vehicle explains this trip without the bin, and not with it
+    assert fit_parts(found, trips[1], start=ratios({})).misfit > 1.2 * found.misfit
+
+
+@pytest.mark.every_value
+@pytest.mark.parametrize("are_healthy", [True, False])
+@pytest.mark.parametrize("lost", [(), ("axle_box_axle1_left", "body_right")])
+def test_derivatives_are_those_of_differences(are_healthy, lost):
+    trips = [
+        without(trip(drawn(VEHICLE, row({"k_p_axle1_left": 0.8}), 5), 70.0), lost),
+        trip(drawn(VEHICLE, row({}, 1.1), 6), 60.0, REVERSE),
+    ]
+    noise = NOISE[[place not in lost for place in VEHICLE.sensors]]
+    fit = BogieSearch(VEHICLE, [noise, NOISE], trips, are_healthy)
+    x = fit.start() + 0.03 * np.random.default_rng(1).standard_normal(len(fit.start()))
+    misfits = fit._misfits(0.01, fit.all_bins)
+    found, step = fit._jacobian(x, misfits, fit.all_bins), 1e-5
+    scale = np.abs(found).max()
+    for j in range(len(x)):
+        moved = np.eye(len(x))[j] * step
+        ends = [fit._residuals(x + sign * moved, misfits, fit.all_bins) for sign in (1, -1)]
+        numeric = (ends[0] - ends[1]) / (2 * step)
+        np.testing.assert_allclose(found[:, j], numeric, atol=1e-6 * scale, rtol=1e-4)
+
+
+@pytest.fixture(scope="module")
+def explained(commissioned):
+    """Return a healthy trip and its estimate."""
+    one = trip(drawn(VEHICLE, row({}), 5), 70.0)
+    return one, fit_parts(commissioned, one, start=ratios({}))
+
+
+@pytest.mark.parametrize("misfit", [1.0, 1.1, 1.6])
+def test_unexplained_residuals_widen_intervals(commissioned, explained, misfit):
+    one, explained = explained
+    found = fit_parts(replace(commissioned, misfit=misfit), one, start=ratios({}))
+    n_inputs, n_sensors = len(VEHICLE.inputs), 6
+    n = 2 * len(BINS) * n_inputs * (n_sensors - n_inputs)
+    excess = ALIGNED**2 * n * max(0.0, max(misfit, found.misfit) ** 2 - EXPLAINED**2)
+    wider = math.sqrt(1 + excess / max(1.0, found.misfit) ** 2)
+    # what the healthy trips tell of the vehicle is not less certain, so that it is a bit less
+    widened = found.deviations / explained.deviations
+    assert (widened <= 1.001 * wider).all()
+    assert (widened >= 0.75 * wider).all()
+    assert (wider == 1) == (max(misfit, found.misfit) <= EXPLAINED)
+
+
+def test_exact_spectra_give_the_exact_parts():
+    worn = {"c_p_axle2_left": 0.6, "k_s_right": 1.2, "k_p_axle1_right": 0.7}
+    plain = replace(VEHICLE, distribution={"healthy_k_s": 1e-3})
+    given = torch.ones(1, 13, dtype=torch.float64)
+    for name, ratio in worn.items():
+        given[0, COMPONENTS.index(name)] = ratio
+    spectra = drawn(plain, given, 0, 10**6, exact=True)
+    known = CommissionedBogie(plain, NOISE, np.ones(3), 1.0, True)
+    found = fit_parts(known, trip(spectra, 70.0))
+    assert found.converged
+    np.testing.assert_allclose(found.values, given[0].numpy(), rtol=2e-3)
+
+
+def test_parts_are_found_without_the_sensor_that_sensitivities_are_relative_to():
+    parts = (*VEHICLE.parts, "sensors")
+    gains = {"gain_frame_axle1_left": 1e-3, "gain_body_left": 1e-3}
+    vehicle = replace(VEHICLE, parts=parts, distribution=gains)
+    prior = vehicle.distribution
+    vehicle = replace(vehicle, distribution=replace(prior, mean=tuple(np.log([1.1, 0.95]))))
+    given = torch.ones(1, 13, dtype=torch.float64)
+    given[0, COMPONENTS.index("c_p_axle2_left")] = 0.6
+    rows = vehicle.with_uncertain(given, torch.tensor([[1.1, 0.95]], dtype=torch.float64))
+    spectra = drawn(vehicle, rows, 0, 10**6, exact=True)
+    known = CommissionedBogie(vehicle, NOISE, np.ones(3), 1.0, True)
+    one, start = trip(spectra, 70.0), ratios({"c_p_axle2_left": 0.7})
+    found = fit_parts(known, without(one, VEHICLE.sensors[:1]), start=start)
+    assert found.converged
+    np.testing.assert_allclose(found.values, given[0].numpy(), rtol=3e-3)
+    assert (found.deviations > fit_parts(known, one, start=start).deviations).all()
+
+
+@pytest.mark.parametrize(
+    ("near", "misfits", "converged", "chosen", "searched"),
+    [
+        # healthy trips that are nearly explained are not searched again in the same valley
+        pytest.param((1.3, 1.4), (1.2, 1.3), (True, True), 0, "wwf", id="healthy"),
+        ((1.1, 9.0), (1.0, 9.0), (True, True), 0, "wf"),
+        ((1.1, 1.1), (1.05, 1.06), (False, True), 1, "wfwf"),
+        ((2.0, 1.1), (1.6, 1.0), (True, True), 1, "wwf"),
+        ((1.4, 1.3), (1.3, 1.2), (True, True), 1, "wwff"),
+        ((1.3, 1.4), (1.2, 1.3), (True, True), 0, "wwff"),
+        ((1.2, 1.4), (1.1, 1.3), (True, True), 0, "wwf"),
+    ],
+)
+def test_another_start_is_tried_where_the_first_fails(
+    monkeypatch, request, near, misfits, converged, chosen, searched
+):
+    order = []
+
+    def end(misfit, has_converged):
+        one = Found(None, None, has_converged)
+        object.__setattr__(one, "misfit", misfit)
+        return one
+
+    ends = [end(*one) for one in zip(misfits, converged, strict=True)]
+    starts = [
+        SimpleNamespace(misfit=m, finished=lambda _, e=e: order.append("f") or e)
+        for m, e in zip(near, ends, strict=True)
+    ]
+    left = iter(starts)
+    monkeypatch.setattr(BogieSearch, "widened", lambda *_: order.append("w") or next(left))
+    one = trip(drawn(VEHICLE, row({}), 5), 70.0)
+    are_healthy = "healthy" in request.node.name
+    found = BogieSearch(VEHICLE, [NOISE], [one], are_healthy=are_healthy).found(explained=1.15)
+    assert found is ends[chosen]
+    assert "".join(order) == searched
+
+
+def test_a_search_that_creeps_is_continued_and_ends_where_the_parts_have_no_way_to_go(
+    commissioned, monkeypatch
+):
+    trips = [trip(drawn(VEHICLE, row({}, m), i), 70.0) for i, m in enumerate(MASSES)]
+    fit = BogieSearch(VEHICLE, [NOISE] * 3, trips, are_healthy=True)
+    end = Found(fit, fit.start(), False).finished(math.inf)
+    assert fit.step_left(end.x) < 0.1
+    monkeypatch.setattr(bogie_search, "STEPS", 3)  # not enough at once
+    assert not fit.search(fit.start(), 0.0, fit.all_bins, fit.tols[1])[1]
+    far = Found(fit, fit.start(), False)
+    assert not far.finished(0.0).converged  # nor continued where the trips are not explained
+    continued = far.finished(math.inf)
+    assert continued.converged
+    assert fit.step_left(continued.x) < bogie_search.SETTLED
+    # without an end, what the parts still have to go decides
+    monkeypatch.setattr(BogieSearch, "search", lambda *args: (args[1], False))
+    moved = end.x.copy()
+    moved[fit.numbers.names.index("healthy_k_s")] += 0.5
+    for x, has_ended in ((end.x, True), (moved, False)):
+        assert Found(fit, x, False).finished(math.inf).converged == has_ended
+
+
+def test_masses_are_expected_about_those_of_the_healthy_trips(commissioned, monkeypatch):
+    def stopped(search, x, first):
+        starts.append((x[-1], search._prior(x)[-1]))
+        raise StopIteration
+
+    starts = []
+    monkeypatch.setattr(BogieSearch, "narrowed", stopped)
+    light = replace(commissioned, masses=np.array([0.5, 0.72]))
+    with pytest.raises(StopIteration):
+        fit_parts(light, trip(drawn(VEHICLE, row({}), 5), 70.0))
+    np.testing.assert_allclose(starts, [(np.log(0.6), 0.0)], atol=1e-12)
+
+
+@pytest.mark.parametrize("is_explained", [True, False])
+def test_trips_are_searched_in_widening_bands_only_where_the_healthy_vehicle_is_far(
+    commissioned, monkeypatch, is_explained
+):
+    search = BogieSearch.found
+    called = []
+    monkeypatch.setattr(BogieSearch, "found", lambda *args: called.append(args) or search(*args))
+    if not is_explained:
+        monkeypatch.setattr(Found, "explains", lambda *_: False)
+    worn = trip(drawn(VEHICLE, row({"c_p_axle2_left": 0.5}), 5), 70.0)
+    found = fit_parts(commissioned, worn)
+    assert len(called) == (not is_explained)
+    assert found.misfit < 1.1
+    assert found.values[COMPONENTS.index("c_p_axle2_left")] == pytest.approx(0.5, abs=0.02)
+
+
+def test_the_valley_is_chosen_by_the_slowest_and_the_fastest_trip():
+    spectra = drawn(VEHICLE, row({}), 5)
+    trips = [trip(spectra, speed) for speed in (60.0, 75.0, 50.0, 70.0)]
+    search = BogieSearch(VEHICLE, [NOISE] * 4, trips, are_healthy=True)
+    few = search.of_trips(search.unlike)
+    assert search.unlike == [1, 2]
+    assert few.trips == [trips[1], trips[2]]
+    x = np.concatenate([np.arange(search.n_numbers), [0.1, 0.3]])
+    start = search.start_at(x, search.unlike)
+    np.testing.assert_allclose(start, [*np.arange(search.n_numbers), 0.2, 0.1, 0.3, 0.2])
+
+
+# property
+
+
+@pytest.mark.parametrize(
+    ("masses", "part"),
+    # 0.22 and 0.44 of a deviation where the decrease may be 1e-3
+    [(MASSES[:1], 0.15), pytest.param(MASSES, 0.3, marks=pytest.mark.slow)],
+    ids=["one", "three"],
+)
+def test_healthy_trips_end_at_the_minimum(masses, part):
+    vehicle = SpatialVehicle(AM96, parts=PARTS_OF_BOGIE).with_prior()
+    prior = vehicle.distribution.without(("cross_level", "alignment"))
+    vehicle = replace(vehicle, distribution=prior)
+    numbers = prior.ratios(np.random.default_rng(3).standard_normal((1, len(prior.names))))
+    trips = []
+    for i, mass in enumerate(masses):
+        parts = torch.ones(1, len(COMPONENTS), dtype=torch.float64)
+        parts[0, -1] = mass
+        true = vehicle.with_uncertain(parts, torch.as_tensor(numbers))
+        trips.append(trip(drawn(vehicle, true, i), 70.0))
+    end = BogieSearch(vehicle, [NOISE] * len(trips), trips, are_healthy=True).found(EXPLAINED)
+    misfits = end.fit._misfits(0.0, end.fit.all_bins)
+    residuals = end.fit._residuals(end.x, misfits, end.fit.all_bins)
+    slopes = end.fit._jacobian(end.x, misfits, end.fit.all_bins)
+    step = np.linalg.lstsq(slopes, -residuals, rcond=None)[0]
+    deviations = np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)))
+    assert end.converged
+    assert (np.abs(step) < part * deviations).all()
+
+
+def test_healthy_trips_show_the_vehicle(commissioned):
+    assert commissioned.converged
+    assert commissioned.misfit == pytest.approx(1, abs=0.1)
+    np.testing.assert_allclose(commissioned.noise.numpy(), NOISE.numpy(), rtol=0.3)
+    np.testing.assert_allclose(commissioned.masses, MASSES, rtol=0.02)
+    found = commissioned.generator.distribution
+    z = (np.log(found.median) - np.log(true_vehicle()[0].numpy())) / found.deviations
+    assert np.sqrt(np.mean(z**2)) < 2.5
+
+
+@pytest.mark.parametrize(
+    "worn", [{"c_p_axle2_left": 0.62}, {"k_p_axle1_right": 0.73, "c_s_left": 0.5}, {}]
+)
+def test_the_worn_part_is_found_and_no_other_one_is(commissioned, worn):
+    found = fit_parts(commissioned, trip(drawn(VEHICLE, row(worn), 50), 70.0))
+    errors = np.log(found.values / ratios(worn))
+    springs = np.array([name.startswith("k") for name in COMPONENTS])
+    assert np.abs(errors[springs]).max() < 0.01
+    assert np.abs(errors).max() < 0.06
+    assert np.sqrt(np.mean((errors / found.deviations) ** 2)) < 2
+    estimate = found.as_estimate()
+    assert estimate.names == COMPONENTS
+    half = np.log(estimate.high / estimate.low)[0] / 2
+    np.testing.assert_allclose(half, 1.6449 * found.deviations, rtol=1e-4)
+
+
+def test_a_trip_in_reverse_and_at_another_speed_is_read_too(commissioned):
+    there = replace(VEHICLE, speed_m_per_s=55.0).running(REVERSE)
+    spectra = drawn(there, row({"k_s_left": 0.8}), 60)
+    found = fit_parts(commissioned, trip(spectra, 55.0, REVERSE), start=ratios({}))
+    assert found.values[COMPONENTS.index("k_s_left")] == pytest.approx(0.8, rel=0.01)
+    assert found.misfit < 1.2
+
+
+# error
+
+
+def test_spectra_of_other_sensors_are_refused(commissioned):
+    spectra = drawn(VEHICLE, row({}), 0)
+    fewer = SpectralMatrix(spectra.values[:, :5, :5], spectra.n_averages)
+    with pytest.raises(ValueError, match="6 x 6 on 15 bins for the sensors axle_box_axle1_left"):
+        fit_parts(commissioned, trip(fewer, 70.0))
+
+
+def test_too_few_trips_and_certain_vehicles_are_refused():
+    one = trip(drawn(VEHICLE, row({}), 0), 70.0)
+    with pytest.raises(ValueError, match="at least 3 are needed"):
+        commission_bogie(VEHICLE, [one] * 2)
+    lost = [without(one, ["body_left"])] * 3
+    with pytest.raises(ValueError, match="healthy trips need all sensors, one has none at body_l"):
+        commission_bogie(VEHICLE, lost)
+    with pytest.raises(ValueError, match="nothing of the vehicle is uncertain"):
+        commission_bogie(replace(VEHICLE, distribution=None), [one] * 3)

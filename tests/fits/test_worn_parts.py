@@ -1,0 +1,111 @@
+"""The verdict for parts: naive evidence, one part and several, parts that cannot be told apart."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from suspnet.ground.parameters import COMPONENTS
+from suspnet.trains.fits.bogie_fit import PartsEstimate
+from suspnet.trains.fits.bogie_search import WEAR
+from suspnet.trains.fits.worn_parts import ODDS, RARE, SHARED, STIFFER, USUAL, worn_parts
+
+PARTS = COMPONENTS[:-1]
+DEVIATIONS = np.array([0.003 if name[0] == "k" else 0.01 for name in COMPONENTS])
+
+
+def estimate_of(worn, covariance=None, seed=None):
+    """Return an estimate of these ratios, with errors of its covariance where there is a seed."""
+    covariance = np.diag(DEVIATIONS**2) if covariance is None else covariance
+    logs = np.log([worn.get(name, 1.0) for name in COMPONENTS])
+    if seed is not None:
+        logs = np.random.default_rng(seed).multivariate_normal(logs, covariance)
+    return PartsEstimate(np.exp(logs), covariance, 1.0, True, 0.9)
+
+
+@pytest.mark.parametrize(("level", "side"), [(0.9, 1 - STIFFER["c"]), (1.2, STIFFER["c"])])
+def test_odds_are_those_of_normal_densities(level, side):
+    estimate = estimate_of({"c_p_axle2_left": level}, seed=1)
+    (found,) = worn_parts(estimate)
+    usual = np.diag([USUAL[name[0]] ** 2 for name in PARTS])
+    for i, one in enumerate(PARTS):
+        for k, other in enumerate(PARTS):
+            if one[:3] == other[:3]:
+                usual[i, k] += SHARED[one[0]] ** 2
+    plain = estimate.covariance[:12, :12] + usual
+    wider = plain.copy()
+    j = PARTS.index("c_p_axle2_left")
+    wider[j, j] += WEAR**2
+    logs = np.log(estimate.values[:12])
+    densities = [multivariate_normal(cov=cov).logpdf(logs) for cov in (wider, plain)]
+    expected = 2 * side * math.exp(densities[0] - densities[1]) * RARE / (1 - RARE)
+    assert found.odds == pytest.approx(expected, rel=1e-6)
+    assert (found.names, found.is_named) == (("c_p_axle2_left",), True)
+
+
+@pytest.mark.parametrize("name", PARTS)
+@pytest.mark.parametrize("level", [0.3, 0.8, 1.25])
+def test_each_part_is_named_alone(name, level):
+    found = worn_parts(estimate_of({name: level}, seed=3))
+    assert [one.names for one in found] == [(name,)]
+    assert found[0].ratio == pytest.approx(level, rel=0.04)
+
+
+def test_several_parts_are_named_the_most_certain_first():
+    worn = {"k_s_left": 0.7, "c_p_axle1_right": 0.8, "c_s_right": 0.5}
+    found = worn_parts(estimate_of(worn))
+    assert {one.names[0] for one in found} == set(worn)
+    assert all(one.is_named for one in found)
+    assert [one.odds for one in found] == sorted((one.odds for one in found), reverse=True)
+    every = worn_parts(estimate_of(dict.fromkeys(PARTS, 0.6)))
+    assert {one.names[0] for one in every} == set(PARTS)
+
+
+@pytest.mark.parametrize(
+    "worn",
+    [
+        {"k_p_axle1_left": 0.66, "k_p_axle1_right": 0.52},
+        {"k_p_axle1_left": 0.6, "k_p_axle1_right": 0.6},
+        {"k_p_axle1_left": 0.6, "k_p_axle1_right": 0.6, "k_p_axle2_left": 0.6},
+        {"c_s_left": 0.6, "c_s_right": 0.6},
+        {"c_p_axle1_left": 0.7, "c_p_axle2_right": 0.72, "k_s_right": 0.9},
+    ],
+)
+def test_parts_of_a_kind_that_have_not_worn_are_not_taken_along(worn):
+    for seed in range(5):
+        found = worn_parts(estimate_of(worn, seed=seed))
+        assert {one.names for one in found} == {(name,) for name in worn}
+
+
+def test_healthy_bogies_accuse_nothing():
+    assert not any(worn_parts(estimate_of({}, seed=seed)) for seed in range(300))
+
+
+def test_what_all_dampers_share_accuses_none_of_them():
+    warmer = {name: 0.97 for name in PARTS if name.startswith("c_p")}
+    assert worn_parts(estimate_of(warmer)) == []
+    found = worn_parts(estimate_of(warmer | {"c_p_axle1_left": 0.9}))
+    assert [one.names for one in found] == [("c_p_axle1_left",)]
+
+
+def test_the_weaker_of_two_dampers_is_named():
+    certain = np.diag(np.full(len(COMPONENTS), 0.002**2))
+    weaker = worn_parts(estimate_of({"c_s_left": 0.95}, certain))
+    assert [one.names for one in weaker] == [("c_s_left",)]
+    stiffer = worn_parts(estimate_of({"c_s_left": 1.05}, certain))  # or the other is weaker
+    assert {name for one in stiffer for name in one.names} == {"c_s_left", "c_s_right"}
+
+
+def test_parts_that_trade_for_each_other_are_named_together():
+    covariance = np.diag(DEVIATIONS**2)
+    pair = [PARTS.index(name) for name in ("c_p_axle1_left", "c_p_axle1_right")]
+    # their sum is known to 1 %, their difference not at all
+    covariance[np.ix_(pair, pair)] = 0.01**2 * np.ones((2, 2)) / 4
+    covariance[np.ix_(pair, pair)] += 0.3**2 * np.array([[1, -1], [-1, 1]])
+    logs = np.zeros(len(COMPONENTS))
+    logs[pair] = -0.1
+    found = worn_parts(PartsEstimate(np.exp(logs), covariance, 1.0, True, 0.9))
+    assert set(found[0].names) == {"c_p_axle1_left", "c_p_axle1_right"}
+    assert not found[0].is_named
+    assert found[0].odds > ODDS

@@ -1,0 +1,291 @@
+"""Recordings with sensors on both sides as spectral matrices: layouts, whole trips, bad input."""
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from rich_train import FAMILY, RichTrain
+from rich_train_trips import write_train_trips
+from rich_trips import SENSORS
+from vehicles import AM96
+
+from suspnet.curves.speeds import NoEstimateError
+from suspnet.curves.welch import Welch
+from suspnet.estimation.commissioned_bogie import CommissionedBogie
+from suspnet.estimation.flags import BOGIE_NOT_CONVERGED
+from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.parameters import COMPONENTS
+from suspnet.trains.fits.bogie_fit import PartsEstimate, commission_bogie, fit_parts
+from suspnet.trains.identification import bogie_trips
+from suspnet.trains.identification.bogie_trips import (
+    SPACING_HZ,
+    bogie_trip,
+    bogie_vehicle,
+    estimate_parts,
+    sensor_places,
+    show_parts,
+)
+from suspnet.trains.identification.direction import direction_of
+from suspnet.trains.identification.from_recording import both_ways
+from suspnet.trains.identification.healthy_trips import HealthyTrips
+from suspnet.trains.jobs import commissioning
+from suspnet.trains.jobs.commissioning import commission_parts
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.manifest import TripManifest
+from suspnet.trains.recordings.manifest_files import read_manifest
+from suspnet.trains.recordings.manifest_sources import SensorSource
+from suspnet.trains.recordings.recording import joined, load_recording
+from suspnet.trains.recordings.sensor import SensorSignal
+from suspnet.trains.sensors.sensor_health import sensor_health
+from suspnet.trains.simulation import Fleet
+from suspnet.trains.spectra.segments import recording_segments
+from suspnet.trains.spectra.wheel_lines import WheelLine
+from suspnet.vehicle import SpatialVehicle, VerticalVehicle
+
+PARTS = (
+    "bushings",
+    "rubber",
+    "guidance",
+    "longitudinal",
+    "bending",
+    "payload",
+    "sensors",
+    "frame_sway",
+    "frame_yaw",
+    "body_yaw",
+    "creep",
+)
+VEHICLE = SpatialVehicle(AM96, parts=PARTS, distribution="prior")
+RATE_HZ = 100.0
+
+
+def recordings(folder, ratios, minutes, effects=(*FAMILY, "unequal"), sides="pair"):
+    """Return recordings of trips of a train whose parts differ, stepped in time."""
+    fleet = Fleet(n_trips=len(ratios), minutes=minutes, sensors=SENSORS)
+    train = RichTrain.scattered(0, effects)
+    paths = write_train_trips(folder, train, ratios, fleet, 0, sides)
+    return [load_recording(read_manifest(path), RATE_HZ) for path in paths]
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory):
+    return recordings(tmp_path_factory.mktemp("short"), np.ones((1, 13)), 12.0)[0]
+
+
+def test_bins_averages_and_speed_are_those_of_the_recording(short):
+    trip = bogie_trip(short, VEHICLE)
+    spacing = trip.frequencies_hz.diff()
+    torch.testing.assert_close(spacing, torch.full_like(spacing, SPACING_HZ))
+    assert trip.spectra.values.shape == (len(trip.frequencies_hz), 6, 6)
+    assert trip.spectra.n_averages == pytest.approx(10, abs=1.5)
+    assert trip.speed_m_per_s == pytest.approx(70.0, abs=0.5)
+
+
+def test_bins_with_lines_of_wheels_are_left_out(short, monkeypatch):
+    assert bogie_trip(short, VEHICLE).left_out is None
+    line = WheelLine("axle_box left", 1, 10.0 / 70.0, 0.9, 0.1, 0.4, 70.0, 1e4)
+    monkeypatch.setattr(bogie_trips, "wheel_lines", lambda recording: (line,))
+    trip = bogie_trip(short, VEHICLE)
+    held = trip.frequencies_hz[trip.left_out]
+    assert len(held) < 10
+    assert float((held - 10.0).abs().max()) < 0.5
+    kept = trip.frequencies_hz[trip.of(torch.arange(len(trip.frequencies_hz)))]
+    assert float((kept - 10.0).abs().min()) > 0.02
+
+
+def test_sensors_come_in_the_order_of_the_vehicle(short):
+    turned = SpatialVehicle(
+        AM96, parts=PARTS, sensors=("body_left", "axle_box_axle1_right", "frame_axle1_left")
+    )
+    found, every = bogie_trip(short, turned).spectra, bogie_trip(short, VEHICLE).spectra
+    order = [VEHICLE.sensors.index(place) for place in turned.sensors]
+    torch.testing.assert_close(found.values, every.values[:, order][:, :, order])
+
+
+def test_sensors_of_other_places_are_missing(short):
+    other = SpatialVehicle(AM96, parts=PARTS, sensors=("axle_box_axle2_left", "body_left"))
+    with pytest.raises(NoEstimateError, match="no sensor at axle_box_axle2_left"):
+        bogie_trip(short, other)
+
+
+def test_single_sensors_name_no_part(tmp_path):
+    (single,) = recordings(tmp_path, np.ones((1, 13)), 1.0, ("roll",), sides="mean")
+    with pytest.raises(NoEstimateError, match="no sensor at axle_box_axle1_left"):
+        bogie_trip(single, VEHICLE)
+
+
+@pytest.mark.parametrize("converged", [True, False])
+def test_search_that_did_not_end_is_told(short, monkeypatch, caplog, converged):
+    bogie = CommissionedBogie(VEHICLE, torch.ones(6), np.ones(3), 1.0, converged)
+    monkeypatch.setattr(commissioning, "commission_bogie", lambda vehicle, trips: bogie)
+    trips = (bogie_trip(short, VEHICLE),) * 3
+    healthy = HealthyTrips((short.manifest,) * 3, (), (True,) * 3, vehicle=VEHICLE, of_parts=trips)
+    with caplog.at_level("WARNING"):
+        found = commission_parts(healthy, TripSettings())
+    assert found is bogie
+    assert ("wrong ones may be named" in caplog.text) == (not converged)
+
+
+@pytest.mark.parametrize(
+    ("converged", "misfit", "reason"),
+    [
+        (True, 4.9, ""),
+        (False, 1.0, BOGIE_NOT_CONVERGED),
+        (True, 15.1, "the bogie leaves 15.1 times the"),
+    ],
+)
+def test_parts_read_with_a_doubtful_bogie_are_flagged(
+    short, monkeypatch, converged, misfit, reason
+):
+    trip = SimpleNamespace(lost=("frame_axle1_left", "axle_box_axle2_left"))
+    monkeypatch.setattr(bogie_trips, "bogie_trip", lambda *_: trip)
+    parts = PartsEstimate(np.ones(13), 1e-4 * np.eye(13), 1.0, True, 0.9)
+    monkeypatch.setattr(bogie_trips, "fit_parts", lambda *_: parts)
+    bogie = CommissionedBogie(VEHICLE, torch.ones(6), np.ones(3), misfit, converged)
+    estimate = estimate_parts(bogie, short, TripSettings(check_channels=False))
+    (found,) = estimate.flags.reasons
+    assert found.startswith(reason)
+    assert bool(found) == bool(reason)
+    assert estimate.misfit == parts.misfit
+    # as the manifest names them, or by the place where it has no sensor
+    assert estimate.lost == ("bogie left", "axle_box_axle2_left")
+
+
+@pytest.mark.parametrize("name", ["bogie left", "body right", "axle_box left"])
+def test_a_sensor_that_breaks_the_trip_up_is_left_out(short, name):
+    every = bogie_trip(short, VEHICLE)
+    n, minute = len(short.usable), round(60 * RATE_HZ)
+    loose, one_second = np.zeros((2, n), dtype=np.bool_)
+    for start in range(0, n, minute):
+        loose[start : start + 500] = True
+    one_second[200:300] = True
+    faulty = {name: loose, "bogie right": one_second}
+    broken = replace(short, usable=short.usable & ~loose & ~one_second, faulty=faulty)
+    trip = bogie_trip(broken, VEHICLE)
+    channel, side = name.split()
+    place = {"bogie": "frame_axle1", "body": "body", "axle_box": "axle_box_axle1"}[channel]
+    assert trip.lost == (f"{place}_{side}",)
+    assert every.lost == ()
+    kept = [i for i, one in enumerate(VEHICLE.sensors) if one not in trip.lost]
+    np.testing.assert_allclose(sizes(trip), sizes(every)[kept], rtol=0.1)
+    # without it the trip is usable but for what is wrong with the other one
+    rest = broken.without(name)
+    np.testing.assert_array_equal(rest.usable, short.usable & ~one_second)
+    assert rest.dead == (name,)
+    assert list(rest.sensors()) == [one for one in short.sensors() if one != name]
+    for one, signal in rest.sensors().items():
+        np.testing.assert_allclose(signal, short.sensors()[one], rtol=1e-12, atol=1e-12)
+
+
+def test_a_short_or_slow_trip_has_no_estimate(tmp_path, short):
+    # shorter than one segment, and than the eight that give more than seven averages
+    for minutes, words in ((1.5, "0.0 minutes, at least 9.0 are"), (3.0, "9.0 are needed, 7.0")):
+        (one,) = recordings(tmp_path / f"{minutes}", np.ones((1, 13)), minutes, ("roll",))
+        with pytest.raises(NoEstimateError, match=f"of 2 minutes or more .*{words}"):
+            bogie_trip(one, VEHICLE)
+    with pytest.raises(NoEstimateError, match=r"0\.0 minutes"):
+        bogie_trip(short, VEHICLE, TripSettings(min_speed_m_per_s=90.0))
+
+
+BOXES = [("left", 1), ("right", 1), ("left", 2), ("right", 2)]
+SEVEN = {"axle_box": BOXES, "bogie": [("left", 1), ("right", 2)], "body": [("left", None)]}
+PLACES_OF_SEVEN = (
+    *("axle_box_axle1_left", "axle_box_axle1_right"),
+    *("axle_box_axle2_left", "axle_box_axle2_right"),
+    *("frame_axle1_left", "frame_axle2_right", "body_left"),
+)
+SEVEN_VEHICLE = SpatialVehicle(AM96, sensors=PLACES_OF_SEVEN)
+
+
+def manifest_of(layout):
+    """Return the manifest of a trip with sensors at these sides and axles."""
+    channels = {
+        name: tuple(SensorSource("all.mat", side=side, axle=axle) for side, axle in own)
+        for name, own in layout.items()
+    }
+    names = {"vehicle": "am96", "suspension": "a", "mileage_km": 1.0, "speed": 70.0}
+    return TripManifest(path=Path("trip.yaml"), name="trip", channels=channels, **names)
+
+
+def noisy(layout, dead=()):
+    """Return a recording of 30 minutes in which sensor i has noise of a standard deviation i."""
+    manifest = manifest_of(layout)
+    n, rng = round(1800 * RATE_HZ), np.random.default_rng(0)
+    streams = [
+        SensorSignal(name, 0.0, 1800.0, 0, i * rng.standard_normal(n), np.zeros(n, bool), ())
+        for i, name in enumerate(manifest.sensors(), 1)
+        if name not in dead
+    ]
+    return joined(manifest, streams, None, 0.0, RATE_HZ, dict.fromkeys(dead, "is constant"))
+
+
+def sizes(trip):
+    """Return the standard deviation of each sensor's noise, by the spectra of a trip."""
+    return trip.spectra.densities.mean(dim=0).mul(RATE_HZ / 2).sqrt().numpy()
+
+
+def test_sensors_of_any_layout_are_found_by_their_place():
+    assert sensor_places(manifest_of(SEVEN), "axle") == PLACES_OF_SEVEN
+    assert sensor_places(manifest_of({"bogie": [("left", 1), ("right", 2)]}), "centre") == (
+        *("frame_axle2_right", "frame_centre_left"),
+    )
+    trip = bogie_trip(noisy(SEVEN), SEVEN_VEHICLE)
+    np.testing.assert_allclose(sizes(trip), np.arange(1, 8), rtol=0.05)
+    assert trip.lost == ()
+
+
+@pytest.mark.representatives(2)
+@pytest.mark.parametrize("lost", [0, 3, 5, 6])
+def test_a_trip_whose_sensor_is_missing_or_dead_is_read_with_the_others(lost):
+    names = list(manifest_of(SEVEN).sensors())
+    kept = np.delete(np.arange(1, 8), lost)
+    trip = bogie_trip(noisy(SEVEN, [names[lost]]), SEVEN_VEHICLE)
+    assert trip.lost == (PLACES_OF_SEVEN[lost],)
+    np.testing.assert_allclose(sizes(trip), kept, rtol=0.05)
+
+
+def test_sensors_that_do_not_show_the_parts_name_none():
+    assert not show_parts([*PLACES_OF_SEVEN[:2], "body_left"])
+    assert not show_parts(["axle_box_axle1_left", "axle_box_axle2_left", *PLACES_OF_SEVEN[4::2]])
+    with pytest.raises(NoEstimateError, match=r"no sensor at .*_axle2_left.* at least 4 of them"):
+        bogie_trip(noisy(SEVEN, list(manifest_of(SEVEN).sensors())[2:6]), SEVEN_VEHICLE)
+
+
+def test_without_a_channel_both_sides_as_equal_are_not_read():
+    recording = noisy(SEVEN, ["body"])
+    segments, settings = recording_segments(recording, Welch(20.0)), TripSettings()
+    found = both_ways([(SimpleNamespace(bogie=None), segments)], recording, settings)
+    assert isinstance(found.bins, NoEstimateError)
+    assert "no sensor at axle 1 gives body; the springs" in str(found.bins)
+    with pytest.raises(TripError, match="without a sensor on body the phases do not show"):
+        direction_of(recording, segments, VerticalVehicle(AM96), settings)
+    health = sensor_health(recording, VerticalVehicle(AM96), Welch(20.0))
+    assert {name: one.faulty for name, one in health.items() if one.faulty} == {"body": 1.0}
+
+
+def test_healthy_trips_must_show_the_parts_alike():
+    few = {"axle_box": BOXES[:2], "bogie": [("middle", 1)], "body": SEVEN["body"]}
+    layouts = [few] * 3, [SEVEN, SEVEN, few]
+    for several, message in zip(
+        layouts, ("have axle_box_axle1_left, .*_right, body_left: give", "differ"), strict=True
+    ):
+        with pytest.raises(TripError, match=message):
+            bogie_vehicle([*map(manifest_of, several)], VerticalVehicle(AM96))
+
+
+@pytest.mark.slow  # test_bogie_fit.py: drawn spectra of a smaller vehicle
+def test_the_worn_part_of_an_unknown_train_is_found_from_recordings(tmp_path):
+    ratios = np.ones((6, 13))
+    ratios[:, -1] = (1.0, 1.1, 1.05, 1.12, 1.02, 1.07)
+    ratios[5, COMPONENTS.index("c_p_axle2_left")] = 0.62
+    trips = [bogie_trip(one, VEHICLE) for one in recordings(tmp_path, ratios, 20.0)]
+    commissioned = commission_bogie(VEHICLE, trips[:5])
+    assert commissioned.misfit < 1.2
+    found = fit_parts(commissioned, trips[5])
+    errors = found.values / ratios[5] - 1
+    springs = np.array([name.startswith("k") for name in COMPONENTS])
+    assert np.abs(errors[springs]).max() < 0.01
+    assert np.abs(errors).max() < 0.06

@@ -1,0 +1,585 @@
+"""The drawing of a bogie's parts: severities, groups, keyboard, plan, and pages without parts."""
+
+import csv
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from served_fleet import HEALTHY, WORN, bogie_trips, trips
+
+from suspnet.ground.findings import NO_PART, Finding, stored, together
+from suspnet.ground.parameters import (
+    BOGIE_PARTS,
+    COMPONENTS,
+    DEFAULT_LIMITS,
+    condensed,
+    part_words,
+)
+from suspnet.ground.records import (
+    NO_ESTIMATE,
+    Place,
+    Quality,
+    SensorHealth,
+    outputs_of,
+    sensors_text,
+)
+from suspnet.runs.language import speaking
+from suspnet.trains.fits.worn_parts import WornPart
+from suspnet.trains.history import History
+from suspnet.trains.jobs.maintenance import write_maintenance
+from suspnet.trains.maintenance.alarms import watch
+from suspnet.trains.maintenance.relative import relative_results
+from suspnet.trains.maintenance.series import Event, series_of
+from suspnet.trains.maintenance.state import State
+from suspnet.trains.pages.board import BoardSettings
+from suspnet.trains.pages.bogie import (
+    NONE_NAMED,
+    bogie_of,
+    bogies_of,
+    group_words,
+    why_no_part,
+    worn_entries,
+)
+from suspnet.trains.pages.details import wear_words
+from suspnet.trains.pages.maintenance_figures import small_trends
+from suspnet.trains.pages.output import summary
+from suspnet.trains.pages.overview import Evaluated, same_columns
+from suspnet.trains.pages.pdf import as_pdf
+from suspnet.trains.pages.report import Report, write_report
+from suspnet.trains.pages.templates import environment
+from suspnet.trains.pages.trend import trend_of_state
+
+PLACE = Place("", "leading", "", "7", "1")
+
+
+def worn_words(several):
+    return together(one.finding for one in several)
+
+
+GROUP = WornPart(("k_s_left", "k_s_right"), 30.0, 0.93)
+WEAR = {
+    "c_p_axle2_left": lambda i: 1 - 0.4 * max(i - 8, 0) / 25,
+    "k_p_axle1_right": lambda i: 0.86,
+}
+TODAY = "2026-03-01"
+DETAILS = {"date": "2026-02-27 08:00:00+01:00", "remaining lives": wear_words(1, False)}
+FADING = dict(enumerate([1, 1, 1, 1, 0.88, 0.755, 0.63, 0.512], 8))  # none is flagged
+
+
+def worn(i):
+    """Return the verdict on a trip: one part is named, of two others which is not known."""
+    named = WornPart(("c_p_axle2_left",), 1e6, WEAR["c_p_axle2_left"](i))
+    return worn_words([named, GROUP]) if i > 12 else ""
+
+
+def state_of(results):
+    return State(series_of(results), DEFAULT_LIMITS)
+
+
+def drawn(results, address="#trend-"):
+    """Return the HTML of the drawing, without that of the list beside it, and its bogie."""
+    found = bogie_of(state_of(results))
+    template = environment().get_template("bogie.html").module
+    return str(template.drawing(found, "Bogie", address)), found
+
+
+class Labels(HTMLParser):
+    """Attributes of the tags of a page, and its text."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.words = [], ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append((tag, dict(attributes)))
+
+    def handle_data(self, data):
+        self.words += data
+
+    def parts(self):
+        """Return the elements of parts by the part as a depot calls it."""
+        own = [(tag, one) for tag, one in self.tags if "part " in (one.get("class") or "")]
+        return {one["aria-label"].split(":")[0]: (tag, one) for tag, one in own}
+
+
+@pytest.fixture(scope="module")
+def results():
+    return bogie_trips(PLACE, 1, WEAR, worn)
+
+
+@pytest.fixture(scope="module")
+def report(results, tmp_path_factory):
+    """Return the report of a bogie, with a figure of each part."""
+    return report_of(with_healthy(results), tmp_path_factory.mktemp("bogie") / "report.html")
+
+
+def with_healthy(results):
+    """Return trips that state the healthy values of their parts, with intervals."""
+    values = {name: 1.8e3 for name in BOGIE_PARTS}
+    halves = dict.fromkeys(values, 0.029)
+    return [replace(one, healthy_si=values, healthy_half_widths=halves) for one in results]
+
+
+def report_of(results, path):
+    state = state_of(results)
+    trend = trend_of_state(state)
+    small = dict.fromkeys(COMPONENTS, Figure(figsize=(1, 1)))  # quickly drawn
+    small |= small_trends(replace(trend, panels=trend.panels[:1]))
+    content = Report(results, COMPONENTS, state, DETAILS)
+    return write_report(path, "Bogie", content, {}, small).read_text(encoding="utf-8")
+
+
+# reference: names and groups
+
+
+def test_parts_are_called_as_in_a_depot():
+    assert part_words("c_p_axle2_left") == "damper of axle 2, left"
+    assert part_words("k_s_right") == "secondary spring, right"
+    assert part_words("c_p") == "c_p"
+    assert len({part_words(name) for name in BOGIE_PARTS}) == 12
+    assert condensed(COMPONENTS) == ["M_s", "all twelve parts"]
+    assert condensed(COMPONENTS[:3]) == list(COMPONENTS[:3])
+
+
+def test_groups_of_a_verdict_say_what_their_parts_have_in_common():
+    sides = WornPart(("c_p_axle1_left", "c_p_axle1_right"), 25.0, 1.2)
+    alone = WornPart(("k_p_axle1_left",), 1e9, 0.5)
+    entries = worn_entries(worn_words([sides, alone, GROUP]))
+    names = [sides.names, alone.names, GROUP.names]
+    assert entries == list(zip(names, ["25 : 1", "over 1000 : 1", "30 : 1"], strict=True))
+    assert worn_entries("") == worn_entries("odd text; more (odds 3)") == []
+    for several, place in (
+        (sides.names, "at axle 1"),
+        (("c_p_axle1_left", "k_s_left"), "on the left"),
+        (("c_p_axle1_left", "k_p_axle1_left"), "at axle 1 on the left"),
+        (("c_p_axle1_left", "k_s_right"), ""),
+    ):
+        sentence = group_words(several, "30 : 1")
+        assert sentence.values["common"].strip() == place
+        assert sentence.endswith(" or ".join(map(part_words, several)))
+
+
+# the drawing
+
+
+@pytest.mark.parametrize(
+    ("ratio", "half", "tone", "sign"),
+    [
+        (0.5, 0.01, "act", "✕"),
+        (0.75, 0.01, "notice", "!"),
+        (0.79, 0.2, "plain", "?"),
+        (0.99, 0.01, "good", "✓"),
+    ],
+)
+def test_each_severity_has_a_tone_a_sign_and_text(ratio, half, tone, sign):
+    name = "c_p_axle1_right"
+    few = [
+        replace(one, half_widths=one.half_widths | {name: half})
+        for one in bogie_trips(PLACE, 1, {name: lambda i: ratio}, n_trips=5)[-1:]
+    ]
+    page, found = drawn(few)
+    one, last = found.parts[name], few[-1]
+    (low, high), value = last.interval(name), last.estimates[name]
+    shown = re.fullmatch(r"([\d.]+) ± ([\d.]+) %", one.level.replace("\N{NO-BREAK SPACE}", " "))
+    assert [float(text) for text in shown.groups()] == pytest.approx(
+        [100 * value, 50 * (high - low)], abs=0.051 if half < 0.1 else 0.51
+    )
+    tag, attributes = Labels(page).parts()["damper of axle 1, right"]
+    assert (tag, attributes["class"]) == ("a", f"part {tone}")
+    assert one.level in attributes["aria-label"]
+    label = {"act": "Act", "notice": "Notice", "plain": "Not judged", "good": "No alarm"}[tone]
+    assert f": {label}, " in attributes["aria-label"]
+    element = re.search(rf'<a href="#trend-{name}".*?</a>', page, re.S)[0]
+    assert f">{sign}</text>" in element
+    assert f"<title>{attributes['aria-label']}</title>" in element
+
+
+def test_wide_intervals_stay_within_their_box(results):
+    found = bogie_of(state_of(results))
+    wide = replace(found.parts["c_s_left"], value="over 400", half="130")
+    found.parts["c_s_left"] = wide
+    page = environment().get_template("bogie.html").module.bogie(found, "label")
+    (cell,) = re.findall(r'<text class="level"[^>]*textLength="97"[^>]*>([^<]*)</text>', page)
+    assert cell.replace("\N{NO-BREAK SPACE}", " ") == "over 400 ± 130 %"
+
+
+def test_left_is_left_axle_1_is_ahead_and_dampers_have_another_shape(results):
+    page, _ = drawn(results)
+    for name in BOGIE_PARTS:
+        element = re.search(rf'<a href="#trend-{name}".*?</a>', page, re.S)[0]
+        left, y = map(float, re.search(r'class="box[^"]*" x="(\d+)" y="(\d+)"', element).groups())
+        assert (left < 190) == name.endswith("left")
+        assert (y < 130) == ("axle1" in name)
+        assert (y > 280) == ("axle2" in name)
+        assert ("<circle" in element) == (name[0] == "k")
+    assert page.index(">axle 1<") < page.index(">axle 2<")
+    assert ">forward<" not in page  # axle 1 may be the rear one
+    assert ">sensors<" in page
+
+
+@pytest.mark.slow  # test_documents.py prints a page
+def test_table_of_parts_fits_the_paper_in_german(results, tmp_path):
+    pdfium = pytest.importorskip("pypdfium2")
+    pytest.importorskip("weasyprint")
+    with speaking("de"):
+        page = report_of(with_healthy(results), tmp_path / "report.html")
+    assert "±\N{NO-BREAK SPACE}2,9\N{NO-BREAK SPACE}%" in page
+    head = page[: page.index("<body")]
+    (table,) = re.findall('<h2 id="parameters".*?</table>', page, re.S)
+    document = pdfium.PdfDocument(as_pdf(f"{head}<body>{table}</div></body></html>"))
+    words = document[0].get_textpage()
+    assert "Bis Eingriffs" in words.get_text_range()
+    ends = [words.get_charbox(i)[2] for i in range(words.count_chars())]
+    assert max(ends) < document[0].get_width() - 28  # 12 mm are 34 points
+    document.close()
+
+
+def test_every_part_is_reached_by_the_keyboard_with_a_page_and_without(results, report):
+    linked = Labels(drawn(results)[0]).parts()
+    assert {one["href"] for _, one in linked.values()} == {f"#trend-{n}" for n in BOGIE_PARTS}
+    assert {tag for tag, _ in linked.values()} == {"a"}
+    alone = Labels(drawn(results, address="")[0]).parts()
+    assert alone.keys() == linked.keys()
+    assert all(one["tabindex"] == "0" and one["role"] == "img" for _, one in alone.values())
+    ids = [one["id"] for _, one in Labels(report).tags if "id" in one]
+    assert len(set(ids)) == len(ids)
+    assert {f"trend-{name}" for name in BOGIE_PARTS} <= set(ids)
+
+
+def test_group_is_shown_as_one(results):
+    page, found = drawn(results)
+    assert {name for name, one in found.parts.items() if one.group} == set(GROUP.names)
+    assert found.parts["k_s_left"].group == "A"
+    assert page.count(">A?</text>") == page.count('class="box group"') == 2
+    assert ", one of group A" in Labels(page).parts()["secondary spring, right"][1]["aria-label"]
+    assert found.groups == {"A": group_words(GROUP.names, "30 : 1")}
+    assert "which is not known" in found.groups["A"]
+    assert [one.name for one in found.listed] == [
+        *("c_p_axle2_left", "k_p_axle1_right"),
+        *GROUP.names,
+    ]
+
+
+def test_part_that_is_named_is_marked_with_its_odds_though_it_is_within_its_limits():
+    verdict = worn_words([WornPart(("k_s_right",), 400.0, 0.97)])
+    page, found = drawn(bogie_trips(PLACE, 1, {"k_s_right": lambda i: 0.97}, lambda i: verdict))
+    assert page.count(">worn</text>") == 1
+    assert [(one.name, one.severity, one.odds) for one in found.listed] == [
+        ("k_s_right", "none", "400 : 1")
+    ]
+    label = Labels(page).parts()["secondary spring, right"][1]["aria-label"]
+    assert label.endswith(", worn, odds 400 : 1")
+
+
+def test_verdict_is_that_of_the_newest_trip_whose_parts_were_read(results):
+    unread = replace(results[-1], estimates={"k_p": 1.0}, worn="")
+    assert drawn([*results[:-1], unread])[1].groups
+
+
+def test_parts_without_an_estimate_or_interval_are_shown_as_such(results):
+    none = [replace(one, estimates={"k_p_axle1_left": 1.0}, half_widths={}) for one in results]
+    page, found = drawn(none)
+    assert found.parts["c_s_left"].level == "no estimate"
+    assert found.parts["c_s_left"].severity == "unknown"
+    assert found.parts["k_p_axle1_left"].level == "100.0\N{NO-BREAK SPACE}%"
+    flagged, wild = [
+        [replace(one, **changes) for one in results]
+        for changes in ({"flags": "odd"}, {"estimates": dict.fromkeys(COMPONENTS, 50.0)})
+    ]
+    assert "±" not in drawn(flagged)[1].parts["c_s_left"].level
+    assert drawn(wild)[1].parts["c_s_left"].level == "over\N{NO-BREAK SPACE}1000\N{NO-BREAK SPACE}%"
+    assert page.count('class="part ') == 12
+
+
+def test_group_of_before_the_last_maintenance_is_not_shown(results):
+    until = [replace(one, worn=one.worn if one.mileage_km < 40_000 else "") for one in results]
+    assert bogie_of(State(series_of(until[:19]), DEFAULT_LIMITS)).groups
+    later = Event(39_000.0, "exchanged", "springs")
+    assert bogie_of(State(series_of(until, [later]), DEFAULT_LIMITS)).groups == {}
+    nothing = replace(series_of(results), worn=np.full(len(results), "", dtype=object))
+    assert bogie_of(State(nothing, DEFAULT_LIMITS)).groups == {}
+
+
+def test_small_trends_share_their_mileages_and_are_of_parts_alone(results):
+    trend = trend_of_state(state_of(results))
+    found = small_trends(replace(trend, panels=trend.panels[:2]))
+    assert list(found) == ["k_p_axle1_left", "c_p_axle1_left"]
+    assert len({figure.axes[0].get_xlim() for figure in found.values()}) == 1
+    assert {figure.axes[0].get_ylabel() for figure in found.values()} == {"% of healthy"}
+    assert small_trends(trend_of_state(state_of(trips(WORN, 2)))) == {}
+
+
+# pages
+
+
+def test_report_shows_the_bogie_the_worst_first_and_loads_nothing(report):
+    assert report.count('<svg class="bogie"') == 1
+    assert 'aria-label="damper of axle 2, left: Act' in report
+    folded = report.index('<details id="calm">')
+    assert report.index('id="trend-c_p_axle2_left"') < report.index('id="trend-k_p_axle1_right"')
+    assert report.index('id="trend-k_p_axle1_right"') < folded
+    assert folded < report.index('id="trend-c_s_right"')
+    assert "Without alarm: 11" in report
+    assert 'id="part-c_p_axle2_left"' in report
+    assert "http" not in report.replace("http://www.w3.org", "")
+    images = [one["src"] for tag, one in Labels(report).tags if tag == "img"]
+    assert images
+    assert all(one.startswith("data:") for one in images)
+    assert NONE_NAMED not in report
+    assert "±\N{NO-BREAK SPACE}2.9\N{NO-BREAK SPACE}%" in report
+
+
+def text_of(page):
+    """Return what a reader sees of a page above its table of trips, and in the details."""
+    page = re.sub(r"<(style|script).*?</\1>", " ", page, flags=re.DOTALL)
+    above, _, below = page.partition('<h2 id="trips">')
+    whole = Labels(above + below[below.index("<h2>") :]).words
+    return " ".join(whole.replace("\N{NO-BREAK SPACE}", " ").split())
+
+
+@pytest.fixture(scope="module")
+def fading():
+    """Return eight trips on which a damper fades to half."""
+    wear = {"c_p_axle2_left": FADING.__getitem__}
+    verdict = lambda i: worn_words([WornPart(("c_p_axle2_left",), 1e6, FADING[i])])  # noqa: E731
+    health = {
+        one: SensorHealth(noise=0.03, faulty=0.0)
+        for one in ("axle_box left", "axle_box axle2 right")
+    }
+    sensors = sensors_text(health)
+    found = bogie_trips(PLACE, 1, wear, verdict, n_trips=8, begin=8)
+    return [replace(one, quality=replace(one.quality, sensors=sensors)) for one in found]
+
+
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_one_number_leads_and_is_said_in_words(fading, tmp_path, language):
+    """It was at 51.2, 57 and 75.5 % on one page: the newest trip, the last two, the last five."""
+    with speaking(language):
+        text = text_of(report_of(fading, tmp_path / "report.html"))
+    state = state_of(fading)
+    leading = 100 * state.now("c_p_axle2_left")
+    assert leading == pytest.approx(51.2, rel=0.02)
+    assert leading == pytest.approx(100 * fading[-1].estimates["c_p_axle2_left"])
+    assert not re.search(r"\b(57|63|69|75)([.,]\d)? %", text)
+    assert not re.findall(r"\b(?!trip_0)[a-z]+_[a-z]\w*", text.replace("n_reference", ""))
+    if language == "en":
+        reason = f"the last trip is at {leading:.0f} % of healthy; the last 2 trips are below the"
+        assert text.count(f"{reason} act limit of 70 %; the first 4 trips were at 100 %") == 2
+        assert "axle box, left" in text
+        assert "axle box of axle 2, right" in text
+        assert "1 suspension of this folder" in text
+    else:
+        assert "Quote über 1000 : 1" in text
+        assert "Achslagergehäuse der Achse 2, rechts" in text
+        assert "1 Federung dieses Ordners" in text
+        assert "25.11.2025 bis 16.12.2025" in text
+        assert "27.02.2026, 08:00 +01:00" in text
+        assert not re.search(r"\d{4}-\d\d-\d\d|Chancen|\b1 \w+en dieses", text)
+
+
+def test_report_without_parts_has_one_sentence_more(tmp_path):
+    plain = trips(WORN, 2)
+    given = Report(plain, ("k_p", "c_p", "k_s", "c_s", "M_s"), state_of(plain))
+    page = write_report(tmp_path / "plain.html", "Plain", given, {}).read_text(encoding="utf-8")
+    assert page.count(NONE_NAMED) == 1
+    assert "<svg" not in page
+    assert '<details id="calm"' not in page
+    why = together(
+        ("loose", Finding(NO_PART, words="no sensor at body_left; parts are read from others"))
+    )
+    several = [replace(one, quality=Quality(warnings=why)) for one in plain]
+    given = replace(given, results=several)
+    page = write_report(tmp_path / "why.html", "Why", given, {}).read_text(encoding="utf-8")
+    assert page.count("no sensor at body_left; parts are read from others") == 1
+    assert "(trip trip_029)" in page
+    assert page.count(">loose<") == 2 * len(plain)  # in the table, and folded on a phone
+
+
+def test_reason_is_that_of_the_trips_whose_parts_were_not_read(results):
+    assert why_no_part(results, COMPONENTS) == ""
+    assert why_no_part([], ("k_p",)) == NONE_NAMED
+    odd = replace(results[3], quality=Quality(warnings=Finding(NO_PART, words="too short")))
+    assert why_no_part([*results, odd], COMPONENTS) == (
+        "No single spring or damper is named on 1 trip: too short."
+    )
+    assert Quality(warnings="a; b").no_part == ""
+    assert Quality(warnings="a; b").other_warnings == "a; b"
+
+
+# from the store to the plan
+
+
+@pytest.fixture(scope="module")
+def few():
+    """Return the trips of a bogie of which one damper was bad from the first trip on."""
+    return bogie_trips(PLACE, 1, {"c_p_axle2_left": lambda i: 0.6}, lambda i: worn(13), n_trips=8)
+
+
+@pytest.fixture(scope="module")
+def store(few, tmp_path_factory):
+    path = tmp_path_factory.mktemp("parts") / "fleet.db"
+    with History(path) as history:
+        history.write(few)
+        history.write(trips(HEALTHY, 3, n_trips=5))
+    return path
+
+
+@pytest.mark.usefixtures("blank")
+def test_study_names_parts_in_plan_tables_and_overview(store, tmp_path, caplog):
+    caplog.set_level("INFO")
+    with History(store) as history:
+        states = write_maintenance(history, tmp_path, BoardSettings(today=TODAY))
+    assert states[0].parameters == "c_p_axle2_left"
+    assert "replace car 1, leading bogie, damper of axle 2, left" in caplog.text
+    with (tmp_path / "plan.csv").open() as stream:
+        jobs = {row["parameter"]: row for row in csv.DictReader(stream)}
+    job = jobs["c_p_axle2_left"]
+    assert job["part"] == "damper of axle 2, left"
+    assert (
+        job["visit"]
+        == f"replace at the visit of {job['day']}"
+        == ("replace at the visit of 2026-03-15")
+    )
+    with (tmp_path / "overview.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert float(rows[0]["c_p_axle2_left_last"]) == pytest.approx(0.6, abs=0.01)
+    assert {row["c_p_axle2_left_last"] for row in rows[1:]} <= {"nan", ""}
+    page = (tmp_path / "overview.html").read_text(encoding="utf-8")
+    assert page.count('<svg class="bogie"') == 1
+    assert page.count('tabindex="0" role="img"') == 12
+    assert "damper of axle 2, left</td>" in page
+    assert "replace at the visit of 2026-03-15" in page
+    assert NONE_NAMED not in page
+    assert json.loads((tmp_path / "metrics.json").read_text())["severities"]["act"] == 1
+
+
+def test_verdict_comes_back_from_the_store(store, few):
+    with History(store) as history:
+        series = next(one for one in history.series() if one.place == PLACE)
+    assert series.worn.tolist() == [stored(one.worn) for one in few]
+    assert series.equals(series_of(few))
+    assert not series.equals(series_of([replace(one, worn="") for one in few]))
+    assert series.outputs == COMPONENTS
+
+
+def test_trip_without_its_parts_shows_both_sides_as_equal_in_their_place(few, tmp_path):
+    other = trips(PLACE, 4, n_trips=1)[0]
+    values = {"k_p": 0.987, "c_p": 0.912, "k_s": 1.034, "c_s": 0.877, "M_s": 1.0}
+    quality = Quality(warnings=Finding(NO_PART, words="too short"))
+    odd = replace(other, trip="odd", mileage_km=1.0, estimates=values, quality=quality)
+    mixed = [odd, *few]
+    outputs = outputs_of(mixed)
+    assert {"k_p", "c_p_axle2_left"} < set(outputs)
+    lines = summary(mixed, outputs).splitlines()
+    names = [cell.strip() for cell in lines[1].strip("|").split("|")]
+    assert names == ["trip", "1000 km", "M_s", "worn parts", "averages", "state"]
+    shown = "not read; both sides as equal: k_p 98.7, c_p 91.2, k_s 103.4, c_s 87.7 %"
+    assert shown in next(line for line in lines if line.startswith("| odd"))
+    given = Report(mixed, outputs, state_of(mixed))
+    page = write_report(tmp_path / "mixed.html", "Mixed", given, {}).read_text(encoding="utf-8")
+    table = page[page.index('<h2 id="trips">') :]
+    head = re.findall(r"<th[^>]*>(.*?)</th>", table.partition("<tbody>")[0], re.DOTALL)
+    assert len(head) == 3 + len(COMPONENTS) + 6
+    row = table[table.index('<th scope="row">odd</th>') :].partition("</tr>")[0]
+    cell = re.search(r'<td class="words" colspan="12">(.*?)</td>', row)[1]
+    assert Labels(cell).words.replace("\N{NO-BREAK SPACE}", " ") == (
+        "no part read; both sides as equal: kp 98.7 %, cp 91.2 %, ks 103.4 %, cs 87.7 %"
+    )
+    assert row.count("<td") == len(head) - len(COMPONENTS) + 1  # parts in one cell, and the mass
+
+
+@pytest.mark.parametrize(
+    ("at", "n_flagged", "counts"),
+    [(0, 0, False), (-1, 0, True), (-2, 0, False), (-5, 4, True), (-6, 5, False)],
+)
+def test_both_sides_as_equal_are_judged_until_a_later_trip_shows_its_parts(
+    few, at, n_flagged, counts
+):
+    mixed = [replace(one, flags="odd" * (i >= len(few) - n_flagged)) for i, one in enumerate(few)]
+    equal = {"k_p": 0.5, "c_p": 1.0, "k_s": 1.0, "c_s": 1.0, "M_s": 1.0}
+    mixed[at] = replace(few[at], estimates=equal, half_widths={}, flags="odd")
+    state = state_of(mixed)
+    assert len(mixed) > 6
+    assert ("k_p" in state.outputs) is counts
+    assert {"k_s_left", "M_s"} < set(state.outputs)
+    assert (len(state.assessments) == 17) is counts
+    watched = watch(state.series, DEFAULT_LIMITS).alarms
+    assert any(one.parameter == "k_p" for one in watched) is counts
+
+
+@pytest.mark.parametrize(
+    ("n_faulty", "share", "flags", "counts"),
+    [(1, 0.2, "odd", False), (2, 0.2, "odd", True), (1, 0.001, "odd", True), (1, 0.2, "", True)],
+)
+def test_newest_trip_alone_raises_no_notice_where_a_sensor_is_faulty(
+    few, n_faulty, share, flags, counts
+):
+    quality = Quality(sensors=sensors_text({"body right": SensorHealth(faulty=share)}))
+    equal = {"k_p": 1.0, "c_p": 0.62, "k_s": 1.0, "c_s": 1.0, "M_s": 1.0}
+    loose = {"estimates": equal, "half_widths": {}, "flags": flags, "quality": quality}
+    mixed = [*few[:-n_faulty], *(replace(one, **loose) for one in few[-n_faulty:])]
+    state = state_of(mixed)
+    assert ("c_p" in state.outputs) is counts
+    watched = watch(state.series, DEFAULT_LIMITS).alarms
+    assert any(one.parameter == "c_p" for one in watched) is counts
+    assert any(one.name == "body right" for one in state.series.sensor_trends)
+
+
+def test_healthy_is_that_of_the_first_trips_of_each_part_where_some_were_not_read(few):
+    other = trips(PLACE, 4, n_trips=1)[0]
+    mixed = [replace(few[0], estimates=other.estimates, raw=other.raw), *few[1:]]
+    found = relative_results(mixed, [], 3)
+    for name in ("c_p_axle2_left", "k_s_right"):
+        healthy = np.median([one.raw[name] for one in few[1:4]])
+        assert found[5].estimates[name] == pytest.approx(few[5].raw[name] / healthy)
+    assert found[0].estimates["k_p"] == 1.0
+    series = series_of(mixed).relative_to_first(3)
+    for name in COMPONENTS:
+        expected = [one.estimates.get(name, np.nan) for one in found]
+        np.testing.assert_allclose(series.estimates[name], expected, rtol=1e-12)
+        halves = [one.half_widths[name] for one in found]
+        np.testing.assert_allclose(series.half_widths[name], halves, rtol=1e-12)
+
+
+def test_overview_draws_healthy_bogies_too(few, results):
+    healthy = bogie_trips(PLACE, 1, {}, n_trips=3)
+    done = [
+        Evaluated("a", PLACE, results, state_of(results)),
+        Evaluated("b", PLACE, healthy, state_of(healthy)),
+        Evaluated("c", PLACE, error="no manifest"),
+    ]
+    found = bogies_of(done)
+    assert [name for _, name, _ in found["bogies"]] == ["a/report.html", "b/report.html"]
+    assert found["n_bogies"] == 2
+    assert found["bogies"][1][2].listed == []
+
+
+def test_trips_without_an_estimate_have_no_empty_columns(few):
+    none = [replace(one, estimates={}, status=NO_ESTIMATE, reason="too short") for one in few]
+    lines = summary(none, outputs_of(none)).splitlines()
+    names = [cell.strip() for cell in lines[1].strip("|").split("|")]
+    assert names == ["trip", "1000 km", "averages", "state"]
+
+
+def test_rows_of_a_mixed_fleet_have_the_columns_of_all():
+    found = same_columns([{"a": 1}, {"a": 2, "b": 3.0}])
+    assert [list(one) for one in found] == [["a", "b"]] * 2
+    assert np.isnan(found[0]["b"])
+
+
+def test_figure_of_the_finding_is_first_and_no_smaller_than_others(fading):
+    drawn = small_trends(trend_of_state(state_of(fading)))
+    sizes = {name: figure.get_size_inches().prod() for name, figure in drawn.items()}
+    assert max(sizes, key=sizes.__getitem__) == "c_p_axle2_left"
+    line = next(
+        line
+        for line in drawn["c_p_axle2_left"].axes[0].lines
+        if line.get_label() == "median of five neighbouring trips"
+    )
+    dots = [100 * one.estimates["c_p_axle2_left"] for one in fading]
+    assert line.get_ydata()[3:] == pytest.approx(dots[3:])

@@ -1,0 +1,389 @@
+"""The page of commissioning says what the fit found, in SI units, and stands alone."""
+
+import base64
+import json
+import math
+import re
+from dataclasses import replace
+from html import unescape
+from types import SimpleNamespace
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from commissioned_example import MASSES, SETTINGS, UNCERTAIN, commissioned_example, trip
+from matplotlib.figure import Figure
+
+from suspnet.estimation.damping_laws import Laws
+from suspnet.estimation.flags import INCOMPLETE, UNTRUSTED
+from suspnet.estimation.relative_velocity import DampingByVelocity
+from suspnet.estimation.temperature import NOTE, DampingByTemperature
+from suspnet.ground.parameters import COMPONENTS
+from suspnet.runs.language import speaking
+from suspnet.trains.identification import commissioning_summary as words
+from suspnet.trains.identification.healthy_trips import HealthyTrips
+from suspnet.trains.pages import commissioning_page as figures
+from suspnet.trains.pages.commissioning_page import training_notes, write_outcome
+from suspnet.vehicle.quantities import QUANTITIES
+
+HOSTILE = "<script>alert('x')</script> & \"$x_\" \udcff"
+
+
+@pytest.fixture(scope="module")
+def commissioned():
+    return commissioned_example()
+
+
+@pytest.fixture(scope="module")
+def written(commissioned, tmp_path_factory):
+    """Return the folder that the outcome was written to, its page and its JSON."""
+    folder = tmp_path_factory.mktemp("run")
+    write_outcome(folder, *commissioned)
+    page = (folder / "commissioning.html").read_text(encoding="utf-8")
+    return folder, page, json.loads((folder / "commissioning.json").read_text())
+
+
+def text_of(page):
+    """Return the text of a page without tags, with plain spaces."""
+    body = re.sub(r"<style>.*?</style>", "", page, flags=re.DOTALL)
+    return " ".join(
+        unescape(re.sub(r"<[^>]*>", " ", body)).replace("\N{NO-BREAK SPACE}", " ").split()
+    )
+
+
+# reference
+
+
+def test_page_is_german_where_it_is_asked_for(commissioned):
+    drawn = dict.fromkeys(("responses", "numbers"), Figure(figsize=(1, 1)))
+    with speaking("de"):
+        text = text_of(figures._page(*commissioned, drawn))
+    for said in (
+        "Inbetriebnahme von am96",
+        "Das Fahrzeug erklärt seine gesunden Fahrten (3 Fahrten): Die Abweichung ist das 0,",
+        "Gesunde primäre Steifigkeit",
+        "Buchsen der Dämpfer",
+        "Gemessene und in Betrieb genommene Frequenzgänge",
+    ):
+        assert said in text
+    assert not re.search(r"\b(the|of|is|are)\b", text.partition("trip_9")[0])
+
+
+def test_numbers_in_json_are_those_of_the_outcome_in_si_units(commissioned, written):
+    outcome, content = commissioned[1], written[2]
+    by_name = {one["name"]: one for one in content["numbers"]}
+    assert set(by_name) == set(UNCERTAIN)
+    for i, name in enumerate(outcome.posterior.names):
+        one = by_name[name]
+        mean, deviation = outcome.posterior.mean[i], outcome.posterior.deviations[i]
+        assert one["posterior"]["median"] == pytest.approx(one["nominal"] * math.exp(mean))
+        for end, n in (("low", -1), ("high", 1)):
+            value = one["nominal"] * math.exp(mean + n * deviation)
+            assert one["posterior"][end] == pytest.approx(value)
+            value = one["nominal"] * math.exp(n * UNCERTAIN[name])
+            assert one["prior"][end] == pytest.approx(value)
+        assert one["posterior"]["log_deviation"] == pytest.approx(deviation)
+        assert one["prior"]["log_deviation"] == pytest.approx(UNCERTAIN[name])
+        assert one["ratio"] == pytest.approx(math.exp(mean))
+        assert one["uncertainty_left"] == pytest.approx(deviation / UNCERTAIN[name])
+    assert by_name["healthy_k_p"]["nominal"] == 1.3e6
+    assert by_name["healthy_k_p"]["unit"] == "N/m"
+    assert by_name["healthy_k_p"]["posterior"]["median"] == pytest.approx(1.15 * 1.3e6, rel=0.02)
+    assert by_name["primary_bushing"]["posterior"]["median"] == pytest.approx(3e6, rel=0.5)
+
+
+def test_json_holds_trips_masses_and_misfits(commissioned, written):
+    outcome, content = commissioned[1], written[2]
+    assert content["misfit"] == outcome.misfit == pytest.approx(1, abs=0.3)
+    assert content["explained"] is True
+    assert content["n_agree"] == content["n_starts"] == outcome.n_agree == 2
+    assert content["mileage_km"] == [12345.0, 37035.0]
+    assert content["left_out"] == ["trip_9: no stretch at one speed"]
+    for one, mass, misfit in zip(content["trips"], outcome.masses, outcome.misfits, strict=True):
+        assert one["mass_ratio"] == mass
+        assert one["mass_kg"] == pytest.approx(6300.0 * mass)
+        assert [group["misfit"] for group in one["groups"]] == [misfit]
+    np.testing.assert_allclose(outcome.masses, MASSES, rtol=0.02)
+
+
+def test_residuals_have_the_size_of_the_noise(commissioned):
+    left = figures.residuals(commissioned[1])
+    known = left[np.isfinite(left)]
+    assert known.size > 0.9 * left.size
+    assert np.isnan(left[:, 1, commissioned[1].frequencies_hz > 9.0]).all()
+    assert np.sqrt(np.mean(known**2)) == pytest.approx(1.0, abs=0.3)
+    one, i, k = commissioned[1], 1, 7
+    u = 1 - one.fitted[i, 0, k] / one.observed[i, 0, k]
+    expected = math.hypot(u.real, u.imag) / math.sqrt(2) / one.deviations[i, 0, k]
+    assert left[i, 0, k] == pytest.approx(expected)
+
+
+def test_curves_are_kept_with_what_is_left(commissioned, written):
+    outcome = commissioned[1]
+    table = pq.read_table(written[0] / "commissioning_responses.parquet").to_pydict()
+    n_bins = len(outcome.frequencies_hz)
+    assert table["trip"] == [f"trip_{i}" for i in range(3) for _ in range(n_bins)]
+    for what in ("observed", "nominal", "fitted"):
+        expected = np.abs(getattr(outcome, what)[:, 1]).ravel()
+        np.testing.assert_array_equal(table[f"{what}_magnitude_s"], expected)
+    shape = outcome.deviations[:, 0].ravel()
+    np.testing.assert_array_equal(table["deviation_p"], shape)
+
+
+def test_notes_hold_the_law_of_damping_over_temperature(commissioned):
+    found, outcome = commissioned
+    law = DampingByTemperature(12.0, (-0.004, -0.0051), (0.002, 0.0003))
+    notes = json.loads(json.dumps(training_notes(found, replace(outcome, laws=Laws(law)))))
+    assert DampingByTemperature.noted({"commissioned": notes}) == law
+    assert NOTE not in training_notes(found, outcome)
+    text = " ".join(words.reference(replace(outcome, laws=Laws(law))))
+    assert text.endswith(
+        "Damping is compared at 12 °C, their mean temperature; per kelvin c_p 0.40 ± 0.2 % and "
+        "c_s 0.51 ± 0.03 % are lost."
+    )
+
+
+# properties
+
+
+def test_page_says_what_was_found(commissioned, written):
+    text = text_of(written[1])
+    assert "The vehicle explains its healthy trips (3 trips): the misfit is" in text
+    assert "as equal" not in text
+    assert "2 of 2 starts of the search found this vehicle." in text
+    assert "Healthy now means what these trips showed: 100 % is k p = 1." in text
+    assert "12 345 to 37 035 km" in text
+    assert "trip_9: no stretch at one speed" in text
+    assert "The trips do not determine 1 of 6 numbers" in text
+    assert "density of half the cross level over the mean's" in text
+    assert "1725 kg for a bogie's side" in text
+    for title in ("Springs, dampers, lengths and inertias", "Bushings of the dampers"):
+        assert title in text
+    assert 'class="result good"' in written[1]
+    for one in words.numbers(commissioned[1]):
+        row = words.cells(one)
+        assert row["prior"] in text
+        assert row["posterior"] in text
+
+
+def test_page_stands_alone_and_holds_no_nan(written):
+    folder, page, content = written
+    assert not re.search(r"\bnan\b|\binf\b|None", text_of(page), flags=re.IGNORECASE)
+    assert "null" not in json.dumps(content)
+    images = re.findall(r'<img src="data:image/(?:svg\+xml|png);base64,([^"]*)"', page)
+    assert len(images) == page.count("<img") == 2
+    assert all(len(base64.b64decode(one, validate=True)) > 1000 for one in images)
+    assert not re.search(r'(?:src|href)="(?!data:|#)', page)
+    names = {path.name for path in (folder / "figures").iterdir()}
+    assert names == {"commissioning_responses.png", "commissioning_numbers.png"}
+    assert all((folder / "figures" / name).read_bytes()[1:4] == b"PNG" for name in names)
+
+
+def test_names_are_escaped(commissioned, tmp_path, blank):
+    found, outcome = commissioned
+    manifests = tuple(trip(HOSTILE, float(i), suspension=HOSTILE) for i in range(3))
+    groups = tuple(replace(group, name=HOSTILE) for group in found.groups)
+    hostile = HealthyTrips(manifests, groups, (False,) * 3, (HOSTILE,))
+    write_outcome(tmp_path, hostile, outcome)
+    page = (tmp_path / "commissioning.html").read_text(encoding="utf-8")
+    assert "<script" not in page
+    assert page.count("&lt;script&gt;") == 5  # the suspension, three trips, one left out
+
+
+def test_notes_for_the_model_file_name_the_trips(commissioned):
+    notes = training_notes(*commissioned)
+    assert notes == {
+        "n_trips": 3,
+        "misfit": commissioned[1].misfit,
+        "explained": True,
+        "converged": True,
+        "mileage_km": [12345.0, 37035.0],
+        "trips": ["trip_0", "trip_1", "trip_2"],
+        "place": {"suspension": "S1", "bogie": "", "side": "", "train": "", "car": ""},
+    }
+    json.dumps(notes)
+
+
+def test_place_of_the_notes_is_that_of_the_trips_and_can_be_written(commissioned):
+    found, outcome = commissioned
+    there = {"suspension": "S\udcff", "bogie": "trailing", "train": "7"}
+    manifests = tuple(replace(one, **there) for one in found.manifests)
+    place = training_notes(replace(found, manifests=manifests), outcome)["place"]
+    assert place == {
+        "suspension": r"S\udcff",
+        "bogie": "trailing",
+        "side": "",
+        "train": "7",
+        "car": "",
+    }
+
+
+def test_doubts_are_said(commissioned):
+    found, outcome = commissioned
+    assert words.doubts(outcome) == []
+    spoilt = replace(outcome, misfit=INCOMPLETE + 0.01, converged=False, n_agree=1)
+    said = " ".join(words.doubts(spoilt))
+    assert (
+        f"A misfit above {INCOMPLETE:g} means that the physics of the model is incomplete" in said
+    )
+    assert "did not converge" in said
+    assert "no other one found this vehicle" in said
+    times = f"{INCOMPLETE + 0.01:.2f} times the"
+    first = f"The vehicle does not explain its healthy trips (3 trips): the misfit is {times}"
+    assert words.verdict(found, spoilt).startswith(first)
+    assert not training_notes(found, spoilt)["explained"]
+    assert words.doubts(replace(outcome, misfit=INCOMPLETE)) == []
+
+
+def test_what_healthy_means_is_german_with_its_laws(commissioned):
+    found, outcome = commissioned
+    spread = tuple(tuple(row) for row in np.diag([1e-4] * 5).tolist())
+    law = DampingByVelocity(
+        (0.0505, 0.0417), (0.02, 0.05, 0.5, 6, 4), (0.1, 0.1, 1, 10, 10), spread
+    )
+    drawn = dict.fromkeys(("responses", "numbers"), Figure(figsize=(1, 1)))
+    with speaking("de"):
+        text = text_of(figures._page(found, replace(outcome, laws=Laws(None, law)), drawn))
+    sentence = text[text.index("Gesund heißt jetzt, was diese Fahrten zeigten: 100 % sind k p =") :]
+    assert "(± eine Standardabweichung)." in sentence[:200]
+    assert not re.search(r"\b(loses|compared|more|across)\b", sentence[:600])
+
+
+def bogie(misfit, converged=True):
+    """Return what the page says of a bogie: one damper of twelve is 12 % above its kind."""
+    values = [1.16 if name == "c_p_axle2_left" else 1.0 for name in COMPONENTS]
+    healthy = SimpleNamespace(names=COMPONENTS, values=np.array(values))
+    masses = np.ones(3)
+    return SimpleNamespace(misfit=misfit, converged=converged, healthy=healthy, masses=masses)
+
+
+@pytest.mark.parametrize(
+    ("misfit", "converged", "tones", "said", "of_equal"),
+    [
+        (1.05, True, ["good", "plain"], "That explains the healthy trips: up to 1.15 is", 2.34),
+        (1.3, True, ["notice", "notice"], "A misfit of the parts above 1.15 means that", 6.78),
+        (1.05, False, ["notice", "plain"], words.NOT_CONVERGED, 2.34),
+    ],
+)
+def test_parts_come_first_where_they_are_read(
+    commissioned, tmp_path, blank, misfit, converged, tones, said, of_equal
+):
+    found, outcome = commissioned
+    unlike = replace(outcome, misfit=of_equal, n_agree=1, n_starts=1, converged=False)
+    write_outcome(tmp_path, found, unlike, bogie(misfit, converged))
+    page = (tmp_path / "commissioning.html").read_text(encoding="utf-8")
+    assert re.findall(r'class="result (\w+)"', page) == tones
+    assert "starts" not in page.lower()
+    text = text_of(page)
+    parts = f"Each part of the bogie is read: its misfit is {misfit:.2f} times the noise; springs"
+    equal = words.as_equal(unlike)
+    assert f"the misfit is {of_equal}: their intervals are wider" in equal
+    heading = (
+        "Only for trips that do not show their parts: both sides and axles as equal Short trips"
+    )
+    places = [text.index(one) for one in (parts, said, heading, equal)]
+    assert places == sorted(places)
+    assert "dampers by up to 11.5 %" in text
+    assert "so that it may be up to 1.15" in text
+    verdict = json.loads((tmp_path / "commissioning.json").read_text())["verdict"]
+    assert verdict[0].startswith(parts)
+    assert equal in verdict
+
+
+def test_limits_of_the_misfit_are_those_at_which_estimates_are_flagged(commissioned):
+    said, first = words.doubts(replace(commissioned[1], misfit=UNTRUSTED + 1))
+    assert first == words.LOOK_FIRST
+    assert words.LOOK_FIRST not in words.doubts(replace(commissioned[1], misfit=UNTRUSTED - 1))
+    assert f"A misfit above {INCOMPLETE:g} means" in said
+    assert said.endswith(f"above {UNTRUSTED:g} every estimate is flagged as well.")
+
+
+def test_other_minutes_than_those_of_training_are_said(commissioned):
+    found = commissioned[0]
+    assert words.other_minutes(found, SETTINGS) is None
+    assert words.other_minutes(found, replace(SETTINGS, minutes=28.0)) is None
+    for minutes in (10.0, 80.0):
+        said = words.other_minutes(found, replace(SETTINGS, minutes=minutes))
+        assert said.endswith(f"for {minutes:g}: data.minutes=20 would suit them better.")
+
+
+@pytest.mark.parametrize(
+    ("median", "deviation", "scale", "expected"),
+    [
+        (1.3e6, 0.2, 1e6, "1.30 ± 0.26"),
+        (690e3, 0.2, 1e3, "690 ± 140"),
+        (8.0445, 0.0002362, 1.0, "8.0445 ± 0.0019"),
+        (1e5, 1.0, 1e3, "100 (37 to 270)"),
+        (0.03, 1.0, 1.0, "0.030 (0.011 to 0.082)"),
+        (0.0, 0.1, 1.0, "0"),
+    ],
+)
+def test_values_show_two_digits_of_what_is_uncertain(median, deviation, scale, expected):
+    low, high = median * math.exp(-deviation), median * math.exp(deviation)
+    assert words._value(low, median, high, scale) == expected
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected"),
+    [
+        (-0.01, 0.11, "0.030 (-0.010 to 0.11)"),
+        (0.0, 0.08, "0.030 (0.0000 to 0.080)"),
+        (-1e-6, 0.08, "0.030 (0.0000 to 0.080)"),
+        (0.021, 0.041, "0.030 ± 0.010"),
+    ],
+)
+def test_values_that_may_be_absent_may_lie_about_0(low, high, expected):
+    assert words._value(low, 0.03, high, 1.0) == expected
+
+
+@pytest.mark.parametrize(
+    ("name", "before", "after", "expected"),
+    [
+        ("stiffness_exponent", 0.0009, 0.35, None),
+        ("stiffness_exponent", 0.35, 0.0009, 0.0009 / 0.35),
+        ("wheelset_share", 7e-8, 2e-4, None),  # usually 0
+        ("arm_share", 0.0, 0.02, None),
+        ("rubber_share", 0.0, 0.02, None),
+    ],
+)
+def test_no_change_is_relative_to_a_number_near_0(name, before, after, expected):
+    quantity = next(one for one in QUANTITIES if one.name == name)
+    ends = [(one - 0.01, one, one + 0.01) for one in (before, after)]
+    number = words.Number(quantity, 1.0, *ends, (0.1, 0.01))
+    assert number.ratio == number.as_json()["ratio"] == expected
+    assert words.cells(number)["change"] == (None if expected is None else expected - 1)
+
+
+def test_phases_of_drawing_and_commissioned_vehicle_lie_in_the_same_turn(commissioned):
+    """The first bin of the drawing is at +170 degrees, that of the commissioned one at -170."""
+    found, outcome = commissioned
+    n = len(outcome.frequencies_hz)
+    fitted = np.exp(1j * np.radians(np.linspace(-170, -260, n)))
+    nominal = fitted * np.exp(-1j * np.radians(20.0))
+    turned = replace(
+        outcome,
+        observed=np.broadcast_to(fitted * np.exp(0.2j), outcome.observed.shape),
+        nominal=np.broadcast_to(nominal, outcome.nominal.shape),
+        fitted=np.broadcast_to(fitted, outcome.fitted.shape),
+    )
+    phases = figures.responses(found, turned).axes[2].lines
+    measured, drawing, now = (line.get_ydata() for line in phases)
+    np.testing.assert_allclose(drawing - now, -20.0, atol=1e-9)
+    np.testing.assert_allclose(measured - now, np.degrees(0.2), atol=1e-9)
+
+
+def test_plus_and_minus_in_the_verdict_say_what_they_are(written):
+    text = text_of(written[1])
+    assert re.search(r"100 % is k p = [\d.]+ ± [\d.]+ MN/m.*\(± one standard deviation\)\.", text)
+
+
+@pytest.mark.parametrize(
+    ("masses", "stated"),
+    [((0.66, 0.58), "0.62"), ((1.6, 1.6), "1.60"), ((1.0, 1.25), None), ((0.8, 0.82), None)],
+)
+def test_another_body_than_the_file_says_is_to_be_checked(masses, stated):
+    doubt = words.mass_doubt(np.array(masses))
+    assert (doubt is None) == (stated is None)
+    if stated is not None:
+        assert f"a car body of {stated} times" in doubt
+        assert "body_mass_kg" in doubt
