@@ -13,16 +13,19 @@ from typing import Any
 
 from suspnet.ground.parameters import COMPONENTS, CORNERS, SIDES
 
+IN_BETWEEN = tuple(
+    f"{place}_axle{axle}_middle" for place in ("axle_box", "frame") for axle in (1, 2)
+)
+"""Places of sensors in the middle, or of the mean of a left and a right one: they show no part."""
 PLACES = (
     *(f"axle_box_{corner}" for corner in CORNERS),
     *(f"frame_{corner}" for corner in CORNERS),
     *(f"frame_centre_{side}" for side in (*SIDES, "middle")),
     *(f"body_{side}" for side in (*SIDES, "middle")),
-    *(f"{place}_axle{axle}_middle" for place in ("axle_box", "frame") for axle in (1, 2)),
+    *IN_BETWEEN,
 )
 """Places of vertical accelerometers: axle boxes of the measured bogie, its frame above the axles or
-at its centre, the body above the bogie; axles and sides as in ``CORNERS``. One in the middle
-measures the mean of a left and a right one."""
+at its centre, the body above the bogie; axles and sides as in ``CORNERS``."""
 ADDITIONS: dict[str, tuple[str, ...]] = {
     "frame_sway": ("y_1", "y_2"),
     "frame_yaw": ("chi_1", "chi_2"),

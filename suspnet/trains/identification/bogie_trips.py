@@ -33,7 +33,7 @@ from suspnet.trains.spectra.steady_parts import groups_to_read, minutes_words
 from suspnet.trains.spectra.subspace import SpectralMatrix
 from suspnet.trains.spectra.wheel_lines import line_bins, wheel_lines
 from suspnet.vehicle import SpatialVehicle, VerticalVehicle
-from suspnet.vehicle.spatial_numbers import PLACES
+from suspnet.vehicle.spatial_numbers import IN_BETWEEN, PLACES
 
 PARTS_OF_BOGIE = (
     *("bushings", "rubber", "guidance", "longitudinal", "bending", "payload", "sensors"),
@@ -205,7 +205,7 @@ def sensor_places(
     sensors on the frame at axle 1 really are.
     """
     found = set(_places(manifest, frame_sensor).values())
-    return tuple(place for place in PLACES if place in found)
+    return tuple(place for place in PLACES if place in found and place not in IN_BETWEEN)
 
 
 def show_parts(places: Sequence[str]) -> bool:
