@@ -32,12 +32,37 @@ FAMILY = (
 )
 OF_THE_TRIP = ("payload", "sensors", "wheelsets", "axle_box_arm")
 OUTSIDE = ("second_bending", "one_side", "unequal", "blow_off", "friction", "drift", "bogie_mass")
-EFFECTS = (*FAMILY, *OF_THE_TRIP, *OUTSIDE)
-"""What a train can have; drift is of its speed (rich_train_trips.py).
+FLEXIBLE = ("second_bending", "torsion", "equipment", "frame_torsion", "floors")
+LAWS = ("blow_off", "rebound", "friction", "secondary_friction", "air_spring")
+"""Effects that make a train nonlinear, so that it has no exact spectra."""
+ON_THE_LINE = (
+    *("out_of_round", "welds", "crossings", "changing_roughness"),
+    *("wander", "heat", "load_shift"),
+)
+RECORDED = ("coloured_noise", "mains", "resolution")
+ROUGH = (*FLEXIBLE[1:], "ballast", "cross_axis", *LAWS[1:2], *LAWS[3:], *ON_THE_LINE, *RECORDED)
+EFFECTS = (*FAMILY, *OF_THE_TRIP, *OUTSIDE, *ROUGH)
+"""What a train can have.
 
-``FAMILY`` is what suspnet's family of vehicles knows, the contact aside. Dampers that blow off have
-bushings, whether these are asked for or not.
+``FAMILY`` is what suspnet's family of vehicles knows, the contact aside. ``ON_THE_LINE``,
+``RECORDED``, drift of the speed and the noise of sensors are of trips in time alone
+(rich_train_trips.py). Dampers with laws have bushings, whether these are asked for or not.
 """
+BASE = (*FAMILY, "unequal", "payload")
+NONLINEAR = LAWS[:4]
+SETS = {
+    "family": BASE,
+    "flexible modes": (*BASE, *FLEXIBLE),
+    "cross-axis and noise": (*BASE, "cross_axis", "coloured_noise", "mains"),
+    "ballast": (*BASE, "ballast"),
+    "nonlinear": (*BASE, *NONLINEAR),
+    "nonlinear, air springs": (*BASE, *NONLINEAR, "air_spring"),
+    "all": (
+        *(*BASE, *FLEXIBLE, *NONLINEAR, *ON_THE_LINE, *RECORDED),
+        *("ballast", "cross_axis", "sensors", "bogie_mass"),
+    ),
+}
+"""Effects of the rough trains by which suspnet is judged."""
 
 UNEQUAL = 0.05
 """Standard deviation of the logarithm of each spring and damper of a train that is unequal."""
@@ -84,6 +109,30 @@ SHIFTS = {
     },
     "wheelsets": {"wheelset_share": (0.001, 0.01)},
     "axle_box_arm": {"sensor_on_arm": (-0.1, 0.1)},
+    "torsion": {"torsion_hz": (8.0, 13.0), "torsion_damping": (0.01, 0.03)},
+    "equipment": {
+        "equipment_kg": (1500.0, 3500.0),
+        "equipment_hz": (5.0, 9.0),
+        "equipment_damping": (0.03, 0.1),
+        "equipment_x_m": (-4.0, 4.0),
+        "equipment_y_m": (-0.4, 0.4),
+    },
+    "frame_torsion": {"frame_torsion_hz": (20.0, 40.0), "frame_torsion_damping": (0.01, 0.03)},
+    "floors": {
+        "floor_hz_0": (12.0, 25.0),
+        "floor_hz_1": (12.0, 25.0),
+        "floor_damping": (0.03, 0.1),
+    },
+    "ballast": {
+        "ballast_n_per_m": (6e7, 1.2e8),
+        "ballast_ns_per_m": (1.5e5, 2.5e5),
+        "track_kg": (800.0, 1200.0),
+    },
+    # evenly drawn, with a standard deviation of 2 %
+    "cross_axis": {f"cross_axis_{i}": (-0.02 * 3**0.5, 0.02 * 3**0.5) for i in range(6)},
+    "rebound": {"rebound_share": (0.05, 0.25)},
+    "secondary_friction": {"secondary_friction_n": (200.0, 600.0)},
+    "air_spring": {"closed_choke": (0.8, 2.0)},
 }
 """Ends of the ranges of numbers that are drawn evenly."""
 
@@ -191,6 +240,55 @@ class RichTrain:
     slope_after: float = 0.2
     friction_share: float = 0.1
     friction_half_m: float = 1e-3
+    # A vertical damper's force in rebound is stronger, in compression weaker by this share
+    rebound_share: float = 0.15
+    # Dry friction beside each secondary spring: 0.3 to 1 % of its load of 62 kN
+    secondary_friction_n: float = 400.0
+    secondary_friction_half_m: float = 2e-4
+    # Air spring (Berg, Veh. Syst. Dyn. 33 suppl., 1999): with its reservoir it has k_s, with a
+    # closed choke that much more; the choke, F ~ v^1.8, takes the place of the damper and has c_s
+    # at 0.05 m/s. A reservoir as large as the bag: 1
+    closed_choke: float = 1.2
+    choke_exponent: float = 1.8
+    # First torsion of the body: 8 to 13 Hz, near the first bending
+    torsion_hz: float = 10.0
+    torsion_damping: float = 0.02
+    # Converter or transformer hung below the floor, as a vibration absorber of the first bending
+    # (Gong et al., J. Mech. Eng. 52/18, 2016); its place is relative to the body's middle
+    equipment_kg: float = 2500.0
+    equipment_hz: float = 7.0
+    equipment_damping: float = 0.06
+    equipment_x_m: float = 2.0
+    equipment_y_m: float = 0.2
+    # Twist of the frame, z ~ x y: 5 to 20 % of that of the primary springs below it
+    frame_torsion_hz: float = 30.0
+    frame_torsion_damping: float = 0.02
+    # Floor on elastic supports (Gong et al., J. Tongji Univ. 45, 2017: it amplifies 20 to 50 Hz)
+    # below the left and the right sensor; soft floors are lower
+    floor_kg: float = 40.0
+    floor_hz_0: float = 18.0
+    floor_hz_1: float = 18.0
+    floor_damping: float = 0.06
+    floor_below_m: float = 0.6  # below the body's centre: Manchester benchmark's size
+    # Under a wheelset: the track of TTB-2D (Cantero, SoftwareX 20, 2022) yields like these; the mass
+    # that moves along is 3 / (2 beta) of rails and sleepers, 653 kg/m on Zimmermann's beam with
+    # beta = (K / (8 E I))^(1/3) = 0.96 per m
+    ballast_n_per_m: float = 9e7
+    ballast_ns_per_m: float = 2e5
+    track_kg: float = 1000.0
+    # Share of the lateral acceleration that each sensor reads: transverse sensitivity of 1 to 5 %
+    # in data sheets, 1.7 % a degree of tilt
+    cross_axis_0: float = 0.0
+    cross_axis_1: float = 0.0
+    cross_axis_2: float = 0.0
+    cross_axis_3: float = 0.0
+    cross_axis_4: float = 0.0
+    cross_axis_5: float = 0.0
+    # Wheels out of round (rich_line.py) are drawn from it
+    wheels_seed: int = 0
+    # The laden body's centre of gravity, of one trip
+    load_x_m: float = 0.0
+    load_y_m: float = 0.0
 
     def __post_init__(self):
         unknown = sorted(set(self.effects) - set(EFFECTS))
@@ -218,6 +316,8 @@ class RichTrain:
         if "unequal" in effects:
             own = np.random.default_rng([seed, 14])
             found["parts"] = tuple(np.exp(UNEQUAL * own.standard_normal(2 * len(PARTS))).tolist())
+        if "out_of_round" in effects:
+            found["wheels_seed"] = seed
         return cls(effects=frozenset(effects), **(found | changes))
 
     def unequal(self):
@@ -296,7 +396,7 @@ class RichTrain:
     @property
     def is_linear(self):
         """Return whether spectra and modes hold all that the train has."""
-        return not self.effects & {"blow_off", "friction"}
+        return not self.effects & set(LAWS)
 
     @cached_property
     def _structure(self):
