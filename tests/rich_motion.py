@@ -199,9 +199,9 @@ class BentDampers:
         strength = self._c * (1 + self._rebound * sign)
         secant = strength * (v / CHOKE_M_PER_S) ** (self._p - 1) if self._has_choke else strength
         whole, rise = secant * v, self._p * secant
-        beyond = whole > self._blow_off
-        soft = self._blow_off + self._slope * (whole - self._blow_off)
-        return np.where(beyond, soft, whole), np.where(beyond, self._slope * rise, rise)
+        within = np.minimum(whole, self._blow_off)
+        soft = np.where(whole > within, self._slope, 1.0)
+        return within + self._slope * (whole - within), soft * rise
 
     def __call__(self, force, out):
         """Fill the excess velocity from the force without any."""

@@ -270,7 +270,7 @@ class RichTrain:
     floor_hz_1: float = 18.0
     floor_damping: float = 0.06
     floor_below_m: float = 0.6  # below the body's centre: Manchester benchmark's size
-    # Under a wheelset: the track of TTB-2D (Cantero, SoftwareX 20, 2022) yields like these; the mass
+    # Under a wheelset: the track of TTB-2D (Cantero, SoftwareX 20, 2022) yields so; the mass
     # that moves along is 3 / (2 beta) of rails and sleepers, 653 kg/m on Zimmermann's beam with
     # beta = (K / (8 E I))^(1/3) = 0.96 per m
     ballast_n_per_m: float = 9e7

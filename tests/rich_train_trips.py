@@ -160,6 +160,7 @@ class Drive:
             if wheels is not None:
                 turned = np.broadcast_to(position, behind_m.shape + position.shape)
                 added = wheels.at(turned)
+                added /= self.roughness  # it is of the track alone
                 profile[:2] = [p + own for p, own in zip(profile, added, strict=False)]
             r, slope, curvature = np.concatenate(profile, axis=1)
             motion = np.stack([r, slope * speed, curvature * speed**2 + slope * acceleration])
