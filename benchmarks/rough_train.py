@@ -32,7 +32,7 @@ RESULTS = TESTS.parent / "benchmarks" / "results"
 LEVELS = (0.5, 0.62, 0.75, 0.85, 0.92)
 PAYLOADS = (0.95, 1.18)
 KINDS = ("k_p", "c_p", "k_s", "c_s")
-RATE_HZ = 500.0
+RATE_HZ = 250.0
 
 
 def drawn_ratios(options, seed):

@@ -252,27 +252,23 @@ class Structure:
         pitch = t.body_gyration * AM96.body_gyration_m
         bogie_pitch = t.bogie_gyration * AM96.bogie_gyration_m
         gyrations = {
-            "body": {
-                "roll": t.body_roll_gyration_m,
-                "pitch": pitch,
-                "yaw": pitch,
-                "torsion": t.body_roll_gyration_m,
-            },
+            "body": {"roll": t.body_roll_gyration_m, "pitch": pitch, "yaw": pitch},
             "bogie": {
                 "roll": t.bogie_roll_gyration_m,
                 "pitch": bogie_pitch,
                 "yaw": t.yaw_gyration_m,
-                "torsion": self._frame_torsion_gyration(),
             },
             "wheelset": {"roll": t.wheelset_gyration_m, "yaw": t.wheelset_gyration_m},
             "track": {"roll": t.contact_half_m},
-            "equipment": {},
-            "floor": {},
         }
+        gyrations["body"]["torsion"] = t.body_roll_gyration_m
+        # the shape of a frame's twist is 1 at the springs
+        turned = bogie_pitch * t.bogie_roll_gyration_m
+        gyrations["bogie"]["torsion"] = turned / (t.half_wheelbase_m * t.primary_half_m)
         masses = {"body": body, "bogie": bogie, "wheelset": t.wheelset_kg, "track": t.track_kg}
-        masses |= {"equipment": t.equipment_kg, "floor": t.floor_kg}
+        masses |= {"equipment": t.equipment_kg, "floor": t.floors_kg}
         kinds = [(name.split()[0], freedom) for name, freedom in self.names]
-        self.mass = np.array([masses[k] * gyrations[k].get(f, 1.0) ** 2 for k, f in kinds])
+        self.mass = np.array([masses[k] * gyrations.get(k, {}).get(f, 1.0) ** 2 for k, f in kinds])
         self.laden = np.array([kind == "body" for kind, _ in kinds])
 
     def _warps(self, name):
@@ -280,25 +276,16 @@ class Structure:
         if (name, "torsion") not in self.row:
             return ()
         t = self.train
-        if name == "body":
+        corner = t.half_wheelbase_m * t.primary_half_m
 
-            def warp(point):
-                twist = torsion_shape(point[0], t.body_length_m)
-                return np.array([0.0, -twist * point[2], twist * point[1]])
+        def twisted(point):
+            twist = torsion_shape(point[0], t.body_length_m)
+            return np.array([0.0, -twist * point[2], twist * point[1]])
 
-        else:
+        def warped(point):
+            return np.array([0.0, 0.0, point[0] * point[1] / corner])
 
-            def warp(point):
-                corner = t.half_wheelbase_m * t.primary_half_m
-                return np.array([0.0, 0.0, point[0] * point[1] / corner])
-
-        return ((self.row[name, "torsion"], warp),)
-
-    def _frame_torsion_gyration(self):
-        """Return the root of the modal mass over the frame's: its shape is 1 at the springs."""
-        t = self.train
-        pitch = t.bogie_gyration * AM96.bogie_gyration_m
-        return pitch * t.bogie_roll_gyration_m / (t.half_wheelbase_m * t.primary_half_m)
+        return ((self.row[name, "torsion"], twisted if name == "body" else warped),)
 
     def _join(self, one, its_point, other, other_point, direction, k, c, label):
         """Add a spring with a damper beside it."""
@@ -324,11 +311,10 @@ class Structure:
             k_s = t.k_s * AM96.secondary_stiffness_n_per_m
             stretch = self._join("body", top, frame, bottom, (0, 0, 1), k_s, 0.0, f"k_s {where}")
             c_s = t.c_s * AM96.secondary_damping_ns_per_m
+            series, what = t.secondary_bushing_n_per_m, ""
             if "air_spring" in self.effects:
-                bag = t.closed_choke * k_s
-                self._damper(stretch, c_s, bag, f"c_s {where} choke")
-            else:
-                self._damper(stretch, c_s, t.secondary_bushing_n_per_m, f"c_s {where}")
+                series, what = t.closed_choke * k_s, " choke"
+            self._damper(stretch, c_s, series, f"c_s {where}{what}")
             lateral = t.lateral_n_per_m, t.lateral_ns_per_m, "lateral"
             self._join("body", top, frame, bottom, (0, 1, 0), *lateral)
             along = t.longitudinal_n_per_m, t.longitudinal_ns_per_m, "longitudinal"
@@ -401,30 +387,19 @@ class Structure:
 
     def _hang(self):
         """Give torsions, equipment and floors their springs and dampers."""
-        t, body = self.train, self.bodies["body"]
-        masses = dict(zip(self.names, self.mass, strict=True))
-
-        def hold(row, mass, hz, damping, label):
-            omega = 2 * math.pi * hz
-            self.parallel.add(row, mass * omega**2, 2 * damping * mass * omega, label)
-
+        t, masses = self.train, dict(zip(self.names, self.mass, strict=True))
+        places = {"equipment": (t.equipment_x_m, t.equipment_y_m)}
+        for side, sign in (("left", 1.0), ("right", -1.0)):
+            places[f"floor {side}"] = (t.half_pivot_m, sign * t.sensor_half_m)
         for effect, name, freedom in ADDED:
-            if effect not in self.effects:
+            if effect not in self.effects - {"ballast"}:
                 continue
             row, mass = self.row[name, freedom], masses[name, freedom]
-            if effect == "torsion":
-                hold(row, mass, t.torsion_hz, t.torsion_damping, "torsion")
-            elif effect == "frame_torsion":
-                hold(row, mass, t.frame_torsion_hz, t.frame_torsion_damping, "frame")
-            elif effect == "equipment":
-                place = (t.equipment_x_m, t.equipment_y_m, -t.floor_below_m)
-                stretch = body.motion(place)[2] - row
-                hold(stretch, mass, t.equipment_hz, t.equipment_damping, "equipment")
-            elif effect == "floors":
-                side = 1.0 if name.endswith("left") else -1.0
-                place = (t.half_pivot_m, side * t.sensor_half_m, -t.floor_below_m)
-                hz = t.floor_hz_0 if side > 0 else t.floor_hz_1
-                hold(body.motion(place)[2] - row, mass, hz, t.floor_damping, "floor")
+            if name in places:
+                row = self.bodies["body"].motion((*places[name], -t.floor_below_m))[2] - row
+            hz = t.floors_right_hz if name == "floor right" else getattr(t, f"{effect}_hz")
+            omega, damping = 2 * math.pi * hz, getattr(t, f"{effect}_damping")
+            self.parallel.add(row, mass * omega**2, 2 * damping * mass * omega, effect)
 
 
 def torsion_shape(x_m, length_m):

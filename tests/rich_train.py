@@ -119,9 +119,9 @@ SHIFTS = {
     },
     "frame_torsion": {"frame_torsion_hz": (20.0, 40.0), "frame_torsion_damping": (0.01, 0.03)},
     "floors": {
-        "floor_hz_0": (12.0, 25.0),
-        "floor_hz_1": (12.0, 25.0),
-        "floor_damping": (0.03, 0.1),
+        "floors_hz": (12.0, 25.0),
+        "floors_right_hz": (12.0, 25.0),
+        "floors_damping": (0.03, 0.1),
     },
     "ballast": {
         "ballast_n_per_m": (6e7, 1.2e8),
@@ -265,10 +265,10 @@ class RichTrain:
     frame_torsion_damping: float = 0.02
     # Floor on elastic supports (Gong et al., J. Tongji Univ. 45, 2017: it amplifies 20 to 50 Hz)
     # below the left and the right sensor; soft floors are lower
-    floor_kg: float = 40.0
-    floor_hz_0: float = 18.0
-    floor_hz_1: float = 18.0
-    floor_damping: float = 0.06
+    floors_kg: float = 40.0
+    floors_hz: float = 18.0
+    floors_right_hz: float = 18.0
+    floors_damping: float = 0.06
     floor_below_m: float = 0.6  # below the body's centre: Manchester benchmark's size
     # Under a wheelset: the track of TTB-2D (Cantero, SoftwareX 20, 2022) yields so; the mass
     # that moves along is 3 / (2 beta) of rails and sleepers, 653 kg/m on Zimmermann's beam with

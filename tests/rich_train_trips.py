@@ -32,8 +32,8 @@ from suspnet.simulation.writing import ANTI_ALIAS, time_between
 
 SIDES = ("left", "right")
 WRITTEN = ("pair", "mean", *SIDES)
-TOGETHER = 16
-"""Trips stepped at once: a GB of 20 minutes at 1000 Hz."""
+TOGETHER = 24
+"""Trips stepped at once: 350 MB of 20 minutes at 250 Hz."""
 
 
 def write_train_trips(
