@@ -39,13 +39,13 @@ def drawn_ratios(options, seed):
     """Return the ratios of each trip, (n_trips, 13): healthy, one part each, healthy again."""
     rng = np.random.default_rng([seed, 30])
     n_parts = len(COMPONENTS) - 1
-    ratios = np.ones((options.healthy + n_parts + options.later, n_parts + 1))
+    ratios = np.ones((options.healthy + options.worn + options.later, n_parts + 1))
     ratios[:, -1] = rng.uniform(*PAYLOADS, len(ratios))
     ratios[: options.healthy, -1] = rng.permutation(np.linspace(*PAYLOADS, options.healthy))
     # each kind of part at low and high levels, in another order for each seed
     levels = np.resize(rng.permutation(LEVELS), n_parts)
-    for part, level in enumerate(levels):
-        ratios[options.healthy + part, part] = level
+    for i, part in enumerate(np.linspace(0, n_parts - 1, options.worn).round().astype(int)):
+        ratios[options.healthy + i, part] = levels[part]
     return ratios
 
 
@@ -134,6 +134,7 @@ def main():
     parser.add_argument("--sets", nargs="+", choices=list(SETS), default=list(SETS))
     parser.add_argument("--seeds", nargs="+", type=int, default=[0], help="a train each")
     parser.add_argument("--healthy", type=at_least(3), default=6, help="trips to commission on")
+    parser.add_argument("--worn", type=at_least(1), default=12, help="trips with a worn part")
     parser.add_argument("--later", type=at_least(0), default=3, help="healthy trips after these")
     parser.add_argument("--minutes", type=at_least(4, float), default=20.0, help="of a trip")
     parser.add_argument("--output", type=Path, default=RESULTS, help="folder of the table")

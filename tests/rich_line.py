@@ -61,15 +61,7 @@ def wandering_journey(speed_m_per_s, duration_s, rng):
 
 
 def rough_profiles(profiles, effects, rng):
-    """Return the profiles of mean, cross level and alignment with what the line adds.
-
-    Parameters
-    ----------
-    profiles : list of TrackProfile
-        Of the mean alone, or of all three.
-    effects : set of str
-    rng : Generator
-    """
+    """Return the profiles of the mean, or of mean, cross level and alignment, with line effects."""
     changing, welds, crossings = rng.spawn(3)
     x = profiles[0].step_m * np.arange(len(profiles[0].elevation_m))
     waves = np.array([[p.elevation_m, p.slope, p.curvature_per_m] for p in profiles])
@@ -112,14 +104,7 @@ def _add(waves, x, places, sizes, half_m):
 
 
 class Wheels:
-    """Wheels out of round, each wheelset with its own: both of its wheels alike by two thirds.
-
-    Parameters
-    ----------
-    radius_m : float
-    rng : Generator
-        Of the train.
-    """
+    """Wheels out of round, each wheelset with its own: both of its wheels alike by two thirds."""
 
     def __init__(self, radius_m, rng):
         sides = ROUND_M * math.sqrt(2) * rng.standard_normal((2, 4, ORDERS))  # of a cosine: rms

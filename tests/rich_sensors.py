@@ -30,17 +30,9 @@ def own_sensor(train, sensor, index):
 
 
 def recorded(effects, channel, signal, rate_hz, rng):
-    """Return a recording with the noise of its amplifier, mains and the converter's steps.
+    """Return a signal [m/s^2] with the noise of its amplifier, mains and the converter's steps.
 
-    Parameters
-    ----------
-    effects : set of str
-    channel : int
-        Axle box, frame or body.
-    signal : array of shape (n_samples,), [m/s^2]
-    rate_hz : float, [Hz]
-    rng : Generator
-        Of the trip and the sensor.
+    `channel` is 0 for axle box, 1 for frame, 2 for body, `rng` that of the trip and the sensor.
     """
     coloured, mains = rng.spawn(2)
     if "coloured_noise" in effects:

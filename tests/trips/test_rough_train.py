@@ -14,14 +14,12 @@ from rich_modes import simulate_modes
 from rich_motion import CHOKE_M_PER_S, BentDampers, march, simulate
 from rich_sensors import MAINS, NOISE, RANGES_G, recorded
 from rich_spectra import responses_of
-from rich_structure import SENSORS, torsion_shape
+from rich_structure import torsion_shape
 from rich_train import (
     EFFECTS,
     FAMILY,
     FLEXIBLE,
     LAWS,
-    ON_THE_LINE,
-    RECORDED,
     ROUGH,
     SETS,
     SHIFTS,
@@ -220,9 +218,6 @@ def test_rough_linear_train_moves_in_time_as_its_spectra_say():
     found = phasors(signals, np.arange(n) / rate_hz, f)
     expected = responses_of(train, WORN, f) @ np.exp(1j * np.arange(3))
     expected *= -2 * math.pi * np.array(f)[:, None] * 0.01
-    plain = responses_of(RichTrain.scattered(3), WORN, f) @ np.exp(1j * np.arange(3))
-    plain *= -2 * math.pi * np.array(f)[:, None] * 0.01
-    assert np.abs(plain / expected - 1).max() > 0.1
     assert np.abs(found / expected - 1).max() < 5e-4
 
 
@@ -320,28 +315,21 @@ def test_implicit_steps_end_at_the_law():
 
 def test_air_spring_is_soft_when_slow_and_stiff_when_fast():
     train = RichTrain(frozenset({"air_spring"}))
-    matrices = train.matrices(HEALTHY)
+    matrices, chokes = train.matrices(HEALTHY), train._structure.series.where("choke")
     heave = train._structure.names.index(("body", "z"))
-    k_s, bag = 4 * AM96.secondary_stiffness_n_per_m, matrices.series_stiffness
+    k_s = 4 * AM96.secondary_stiffness_n_per_m
     assert matrices.stiffness[heave, heave] == pytest.approx(k_s)
-    chokes = train._structure.series.where("choke")
-    assert len(chokes) == 4
-    assert bag[chokes].sum() == pytest.approx(train.closed_choke * k_s)
-    system = train.build(HEALTHY)
-    assert (system.exponent[-12:] > 1).sum() == 4
-    assert np.isinf(system.blow_off_n).all()
+    assert matrices.series_stiffness[chokes].sum() == pytest.approx(train.closed_choke * k_s)
+    assert (train.build(HEALTHY).exponent > 1).sum() == len(chokes) == 4
 
 
-def test_secondary_friction_holds_the_body_by_its_limit():
+def test_secondary_friction_pulls_body_and_frames_apart():
     train = RichTrain(frozenset({"secondary_friction"}))
-    system = train.build(HEALTHY)
+    system, mass, names = train.build(HEALTHY), train.matrices(HEALTHY).mass, train._structure.names
     np.testing.assert_allclose(system.friction_n, train.secondary_friction_n)
-    # it pulls body and frames apart with the force that n has
-    names, mass = train._structure.names, train.matrices(HEALTHY).mass
-    n, body = len(mass), names.index(("body", "z"))
-    assert system.e[n + body].sum() * mass[body] == pytest.approx(-4)
-    heave = system.e[n + names.index(("bogie 1", "z"))] * mass[names.index(("bogie 1", "z"))]
-    assert heave.sum() == pytest.approx(2)
+    for body, sum_of_rows in (("body", -4), ("bogie 1", 2), ("bogie 2", 2)):
+        i = names.index((body, "z"))
+        assert system.e[len(mass) + i].sum() * mass[i] == pytest.approx(sum_of_rows)
 
 
 # reference: line
@@ -498,12 +486,9 @@ def test_each_effect_of_the_rough_train_changes_the_recordings(effect, trips, mo
     assert np.isfinite(found).all()
 
 
-def test_sets_have_known_effects_and_all_has_every_law_but_the_air_spring():
+def test_all_has_every_effect_but_the_air_spring():
     assert all(set(effects) <= set(EFFECTS) for effects in SETS.values())
-    left_out = set(ROUGH) - set(SETS["all"])
-    assert left_out == {"air_spring"}
-    assert set(FLEXIBLE) | set(ON_THE_LINE) | set(RECORDED) | set(LAWS) <= set(EFFECTS)
-    assert len(set(EFFECTS)) == len(EFFECTS)
+    assert set(ROUGH) - set(SETS["all"]) == {"air_spring"}
 
 
 def test_numbers_of_an_effect_do_not_depend_on_the_others():
@@ -513,7 +498,6 @@ def test_numbers_of_an_effect_do_not_depend_on_the_others():
         for name, (low, high) in SHIFTS[effect].items():
             assert getattr(alone, name) == getattr(whole, name)
             assert low <= getattr(alone, name) <= high
-    assert len(SENSORS) == 6
 
 
 def test_wheelsets_alone_are_for_spectra(tmp_path):
