@@ -24,6 +24,7 @@ from tabulate import tabulate
 from vehicles import AM96
 
 import suspnet
+from suspnet.estimation.bogie_fit import fit_parts
 from suspnet.estimation.bogie_trips import PARTS_OF_BOGIE
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.simulation import Fleet
@@ -69,8 +70,11 @@ def read(name, seed, options, folder):
     print(f"{name}, {seed}: {took:.0f} s, misfit {commissioned.misfit:.2f}", flush=True)
     head = {"set": name, "seed": seed, "minutes": options.minutes, "n_healthy": options.healthy}
     head |= {"healthy_misfit": f"{commissioned.misfit:.3f}", "commission_s": f"{took:.0f}"}
+    head |= {"commission_is_done": int(commissioned.converged)}
     later = range(options.healthy, len(trips))
-    return [head | row_of(commissioned.estimate(trips[i]), ratios[i]) | {"trip": i} for i in later]
+    return [
+        head | {"trip": i} | row_of(fit_parts(commissioned, trips[i]), ratios[i]) for i in later
+    ]
 
 
 def row_of(found, truth):
@@ -86,7 +90,7 @@ def row_of(found, truth):
     else:
         row |= {"percent": 100.0, "read_percent": ""}
     row |= {"accused": " ".join(accused), "verdict": verdict(worn, accused)}
-    row |= {"flagged": int(flags.flagged[0]), "converged": int(found.converged)}
+    row |= {"flagged": int(flags.flagged[0]), "is_done": int(found.converged)}
     for kind in (*KINDS, "M_s"):
         of = np.array([name.startswith(kind) for name in COMPONENTS])
         held = np.abs(errors[of]) < Z90 * found.deviations[of]

@@ -111,7 +111,7 @@ SHIFTS = {
     "axle_box_arm": {"sensor_on_arm": (-0.1, 0.1)},
     "torsion": {"torsion_hz": (8.0, 13.0), "torsion_damping": (0.01, 0.03)},
     "equipment": {
-        "equipment_kg": (1500.0, 3500.0),
+        "equipment_kg": (2000.0, 4500.0),
         "equipment_hz": (5.0, 9.0),
         "equipment_damping": (0.03, 0.1),
         "equipment_x_m": (-4.0, 4.0),
@@ -119,8 +119,8 @@ SHIFTS = {
     },
     "frame_torsion": {"frame_torsion_hz": (20.0, 40.0), "frame_torsion_damping": (0.01, 0.03)},
     "floors": {
-        "floors_hz": (12.0, 25.0),
-        "floors_right_hz": (12.0, 25.0),
+        "floors_hz": (10.0, 18.0),
+        "floors_right_hz": (10.0, 18.0),
         "floors_damping": (0.03, 0.1),
     },
     "ballast": {
@@ -255,7 +255,7 @@ class RichTrain:
     torsion_damping: float = 0.02
     # Converter or transformer hung below the floor, as a vibration absorber of the first bending
     # (Gong et al., J. Mech. Eng. 52/18, 2016); its place is relative to the body's middle
-    equipment_kg: float = 2500.0
+    equipment_kg: float = 3000.0
     equipment_hz: float = 7.0
     equipment_damping: float = 0.06
     equipment_x_m: float = 2.0
@@ -263,11 +263,11 @@ class RichTrain:
     # Twist of the frame, z ~ x y: 5 to 20 % of that of the primary springs below it
     frame_torsion_hz: float = 30.0
     frame_torsion_damping: float = 0.02
-    # Floor on elastic supports (Gong et al., J. Tongji Univ. 45, 2017: it amplifies 20 to 50 Hz)
-    # below the left and the right sensor; soft floors are lower
+    # Floor on elastic supports below the left and the right sensor: stiff ones amplify 20 to 50 Hz
+    # (Gong et al., J. Tongji Univ. 45, 2017); floating floors, which are meant here, are softer
     floors_kg: float = 40.0
-    floors_hz: float = 18.0
-    floors_right_hz: float = 18.0
+    floors_hz: float = 14.0
+    floors_right_hz: float = 14.0
     floors_damping: float = 0.06
     floor_below_m: float = 0.6  # below the body's centre: Manchester benchmark's size
     # Under a wheelset: the track of TTB-2D (Cantero, SoftwareX 20, 2022) yields so; the mass
