@@ -26,6 +26,7 @@ from vehicles import AM96
 import suspnet
 from suspnet.estimation.bogie_fit import fit_parts
 from suspnet.estimation.bogie_trips import PARTS_OF_BOGIE
+from suspnet.estimation.flags import with_bogie_doubt
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.simulation import Fleet
 
@@ -72,9 +73,15 @@ def read(name, seed, options, folder):
     head |= {"healthy_misfit": f"{commissioned.misfit:.3f}", "commission_s": f"{took:.0f}"}
     head |= {"commission_is_done": int(commissioned.converged)}
     later = range(options.healthy, len(trips))
-    return [
-        head | {"trip": i} | row_of(fit_parts(commissioned, trips[i]), ratios[i]) for i in later
-    ]
+    doubt = {"has_converged": commissioned.converged, "misfit": commissioned.misfit}
+    rows = []
+    for i in later:
+        found = fit_parts(commissioned, trips[i])
+        flags = with_bogie_doubt(found.as_estimate().flags, **doubt).flagged[0]
+        is_flagged = flags or not found.converged  # as by estimate_parts
+        row = head | {"trip": i} | row_of(found, ratios[i])
+        rows.append(row | {"flagged": int(is_flagged), "is_done": int(found.converged)})
+    return rows
 
 
 def row_of(found, truth):
@@ -82,7 +89,6 @@ def row_of(found, truth):
     errors = np.log(found.values) - np.log(truth)
     worn = [name for name, true in zip(COMPONENTS[:-1], truth[:-1], strict=True) if true != 1]
     accused = ["+".join(one.names) for one in suspnet.worn_parts(found)]
-    flags = found.as_estimate().flags
     row = {"part": worn[0] if worn else "healthy", "misfit": f"{found.misfit:.3f}"}
     if worn:
         place = COMPONENTS.index(worn[0])
@@ -90,7 +96,6 @@ def row_of(found, truth):
     else:
         row |= {"percent": 100.0, "read_percent": ""}
     row |= {"accused": " ".join(accused), "verdict": verdict(worn, accused)}
-    row |= {"flagged": int(flags.flagged[0]), "is_done": int(found.converged)}
     for kind in (*KINDS, "M_s"):
         of = np.array([name.startswith(kind) for name in COMPONENTS])
         held = np.abs(errors[of]) < Z90 * found.deviations[of]
