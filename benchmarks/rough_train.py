@@ -18,7 +18,8 @@ import torch
 from cells import Parser, at_least
 from foreign_trains import TESTS
 from named_parts import Z90
-from rich_train import SETS, RichTrain
+from rich_effects import SETS
+from rich_train import RichTrain
 from rich_train_trips import write_train_trips
 from tabulate import tabulate
 from vehicles import AM96

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from reference import phasors
+from rich_effects import EFFECTS, FAMILY, OUTSIDE, ROUGH, SCATTER
 from rich_modes import Modes, simulate_modes
 from rich_motion import simulate
 from rich_spectra import (
@@ -19,7 +20,7 @@ from rich_spectra import (
     spectra,
 )
 from rich_structure import second_bending_shape
-from rich_train import EFFECTS, FAMILY, OUTSIDE, ROUGH, SCATTER, RichTrain
+from rich_train import RichTrain
 from rich_train_trips import true_ratios
 from rich_vehicle import RichVehicle, bending_shape
 from scipy.signal import csd

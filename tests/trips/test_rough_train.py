@@ -9,22 +9,14 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 from reference import phasors
+from rich_effects import EFFECTS, FAMILY, FLEXIBLE, LAWS, ROUGH, SETS, SHIFTS
 from rich_line import of_the_trip, rough_profiles, wandering_journey
 from rich_modes import simulate_modes
 from rich_motion import CHOKE_M_PER_S, BentDampers, march, simulate
 from rich_sensors import MAINS, NOISE, RANGES_G, recorded
 from rich_spectra import responses_of
 from rich_structure import torsion_shape
-from rich_train import (
-    EFFECTS,
-    FAMILY,
-    FLEXIBLE,
-    LAWS,
-    ROUGH,
-    SETS,
-    SHIFTS,
-    RichTrain,
-)
+from rich_train import RichTrain
 from rich_train_trips import Drive, write_train_trips
 from rich_vehicle import RichSystem
 from scipy.constants import g
