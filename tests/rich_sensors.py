@@ -11,9 +11,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.constants import g
 
-NOISE, CORNER_HZ = (3e-3, 1.5e-3, 1e-3), 2.0
-"""White noise of axle box, frame and body as TTB-2D's trips have it, [m/s^2 per root Hz], and the
-frequency below which 1/f noise, usual in amplifiers, exceeds it."""
+NOISE, CORNER_HZ = (2e-3, 5e-4, 2.5e-4), 2.0
+"""White noise of axle box, frame and body, [m/s^2 per root Hz], and the frequency below which 1/f
+noise exceeds it. Data sheets of MEMS accelerometers have 25 ug per root Hz for ranges of a few g;
+those of wider ranges have more. It takes the place of a fleet's noise, which follows the signal."""
 MAINS_HZ, MAINS = (50 / 3, 50.0), (2e-2, 1e-2, 5e-3)
 """Frequencies of the overhead line and of the supply, and the largest amplitude that each sensor of
 a kind picks up, [m/s^2]."""
@@ -22,7 +23,9 @@ RANGES_G, BITS = (50.0, 10.0, 2.0), 16
 
 
 def own_sensor(train, sensor, index):
-    """Return the `Sensor` at one of rich_structure.SENSORS with its own gain and delay."""
+    """Return the `Sensor` at one of rich_structure.SENSORS, with its own gain and delay."""
+    if "coloured_noise" in train.effects:
+        sensor = replace(sensor, snr_db=None)
     if "sensors" not in train.effects:
         return sensor
     gain, late_s = (getattr(train, f"{name}_{index}") for name in ("sensitivity", "late_s"))
