@@ -68,7 +68,7 @@ def write_train_trips(
     rate_hz : float, optional, [Hz]
         Of the steps; the fastest sensor's if not given.
     n_jobs : int
-        Trips at the same time. Trains with blow-off or friction are stepped together.
+        Trips at the same time. Trains with nonlinear laws are stepped together.
     roughness : sequence of float, optional, [-]
         Amplitude of the track of each trip over the fleet's.
     """
