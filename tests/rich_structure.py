@@ -368,13 +368,10 @@ class Structure:
                     continue
                 # unevenness lies between wheel and rail; the rail moves on the ballast by itself
                 sunk = self.bodies[f"track {wheelset}"].motion(point)[2]
-                between_them = between(
-                    self.bodies[name], point, self.bodies[rail], point, (0, 0, 1)
-                )
-                self.parallel.add(between_them - sunk, *values)
-                self.parallel.add(
-                    sunk, t.ballast_n_per_m / 2, t.ballast_ns_per_m / 2, f"ballast {wheelset}"
-                )
+                above = self.bodies[name].motion(point)[2] - self.bodies[rail].motion(point)[2]
+                self.parallel.add(above - sunk, *values)
+                bed = t.ballast_n_per_m / 2, t.ballast_ns_per_m / 2, "ballast"
+                self.parallel.add(sunk, *bed)
 
     def _bend(self):
         """Give the bendings of the body their own stiffness and damping."""
