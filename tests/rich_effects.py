@@ -118,7 +118,7 @@ SHIFTS = {
     # evenly drawn, with a standard deviation of 2 %
     "cross_axis": {f"cross_axis_{i}": (-0.02 * 3**0.5, 0.02 * 3**0.5) for i in range(6)},
     "rebound": {"rebound_share": (0.05, 0.25)},
-    "secondary_friction": {"secondary_friction_n": (200.0, 600.0)},
+    "secondary_friction": {"secondary_friction_n": (50.0, 200.0)},
     "air_spring": {"closed_choke": (0.8, 2.0)},
 }
 """Ends of the ranges of numbers that are drawn evenly."""

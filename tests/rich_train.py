@@ -126,9 +126,9 @@ class RichTrain:
     friction_half_m: float = 1e-3
     # A vertical damper's force in rebound is stronger, in compression weaker by this share
     rebound_share: float = 0.15
-    # Dry friction beside each secondary spring: 0.3 to 1 % of its load of 62 kN
-    secondary_friction_n: float = 400.0
-    secondary_friction_half_m: float = 2e-4
+    # Dry friction beside each secondary spring: seals of its damper and joints of the anti-roll bar
+    secondary_friction_n: float = 120.0
+    secondary_friction_half_m: float = 5e-4
     # Air spring (Berg, Veh. Syst. Dyn. 33 suppl., 1999): with its reservoir it has k_s, with a
     # closed choke that much more; the choke, F ~ v^1.8, takes the place of the damper and has c_s
     # at 0.05 m/s. A reservoir as large as the bag: 1
