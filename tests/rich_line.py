@@ -17,18 +17,17 @@ from suspnet.simulation.signals import Journey
 ROUGHNESS_LOG, ROUGHNESS_M = 0.35, 600.0
 """Standard deviation of the logarithm of the unevenness, and the distance over which it changes."""
 WELD_M, WELD_EVERY_M, WELD_HALF_M = 1.5e-4, 36.0, 0.35
-"""Height of rail welds, their distance, and sigma of their bell shape; a tolerance of 0.3 mm on the
-straightedge of 1 m is usual."""
+"""Standard deviation of the height of rail welds, their distance, and sigma of their bell shape."""
 CROSSING_M, CROSSING_EVERY_M, CROSSING_HALF_M = 1.5e-3, 3000.0, 0.6
 """Depth of crossings, on one of the rails, their distance and sigma of their bell shape."""
 CROSSING_ASIDE = 0.5
 """How far the check rail pulls the wheelset aside, over the crossing's depth."""
 ROUND_M, ORDERS = 5e-5, 5
-"""Standard deviation of each order of a wheel's radius; orders of 1 to 5 prevail, some with more
-than 0.1 mm (Nielsen and Johansson, Proc. IMechE F 214, 2000)."""
+"""Standard deviation of each order of a wheel's radius; orders of 1 to 5 are those of long waves in
+the survey of Nielsen and Johansson, Proc. IMechE F 214, 2000."""
 RAMP, WANDER, WANDER_S = 0.06, 0.006, 60.0
-"""Largest change of the speed over a trip, its wandering, and how often it turns: automatic speed
-controls keep it within 1 to 2 km/h."""
+"""Largest change of the speed over a trip, its wandering, and how often it turns: an
+automatic control keeps it within 1 to 2 km/h."""
 TEMPERATURES_C, NORMAL_C, DAMPING_PER_C = (-5.0, 33.0), 15.0, 0.004
 """Outside temperatures, that of the train's own numbers, and what dampers lose by a degree."""
 LOAD_SHARE, LOAD_ALONG_M, LOAD_ASIDE_M = 0.2, 1.25, 0.1
