@@ -10,7 +10,8 @@ import numpy as np
 TESTS = Path(__file__).parents[1] / "tests"
 sys.path.insert(0, str(TESTS))
 
-from rich_train import FAMILY, OF_THE_TRIP, RichTrain  # noqa: E402
+from rich_effects import FAMILY, OF_THE_TRIP  # noqa: E402
+from rich_train import RichTrain  # noqa: E402
 
 SPEED = 70.0
 NOT_LINEAR = ("blow_off", "friction")

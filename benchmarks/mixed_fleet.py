@@ -29,7 +29,7 @@ from mismatch import (
     settings_of,
     trained,
 )
-from rich_train import FAMILY
+from rich_effects import FAMILY
 from verdicts import LOADS, NAMES, due, severities
 
 from suspnet.curves.speeds import Speeds

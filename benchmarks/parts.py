@@ -18,7 +18,8 @@ import torch
 from cells import Parser, at_least
 from foreign_trains import TESTS
 from mismatch import short, write
-from rich_train import FAMILY, RichTrain
+from rich_effects import FAMILY
+from rich_train import RichTrain
 from rich_train_trips import write_train_trips
 from rich_trips import SENSORS
 from tabulate import tabulate

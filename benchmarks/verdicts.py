@@ -24,7 +24,7 @@ from mismatch import (
     settings_of,
     trained,
 )
-from rich_train import FAMILY
+from rich_effects import FAMILY
 from tabulate import tabulate
 
 from suspnet.curves.speeds import Speeds

@@ -30,22 +30,30 @@ class Body:
         From a name of ``FREEDOMS`` to its row over u; what is missing is zero.
     shapes : sequence of (row over u, function of x)
         The function returns deflection and slope at x.
+    warps : sequence of (row over u, function of the point)
+        The function returns the motion along x, y and z: torsion of a body or of a frame.
+    centre : tuple of float, [m]
+        The centre of gravity, about which the body turns.
     """
 
     rows: Mapping[str, np.ndarray]
     shapes: tuple = ()
+    warps: tuple = ()
+    centre: tuple = (0.0, 0.0, 0.0)
 
     def motion(self, point):
         """Return the motion of a point along x, y and z, (3, n_u)."""
-        x, y, z = point
+        x, y, z = np.subtract(point, self.centre)
         none = np.zeros_like(next(iter(self.rows.values())))
         t_y, t_z, roll, pitch, yaw = (self.rows.get(name, none) for name in FREEDOMS)
         moved = np.stack(
             [pitch * z - yaw * y, t_y + yaw * x - roll * z, t_z + roll * y - pitch * x]
         )
         for row, shape in self.shapes:
-            deflection, slope = shape(x)
+            deflection, slope = shape(point[0])
             moved += np.outer([-slope * z, 0.0, deflection], row)
+        for row, warp in self.warps:
+            moved += np.outer(warp(point), row)
         return moved
 
 

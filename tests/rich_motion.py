@@ -11,6 +11,10 @@ from scipy.linalg import expm
 
 BLOCK = 2048
 """Samples whose inputs and outputs are computed at once."""
+CHOKE_M_PER_S = 0.05
+"""Velocity at which a choke has the damping c; the rms of a secondary damper is 0.04 [m/s]."""
+DAMPER_STEPS, CHOKE_STEPS = 2, 5
+"""Newton steps of each step in time: two end at the solution where the law has straight pieces."""
 
 
 def simulate(ratios, rich, tracks, rate_hz, n_samples, n_lead=0):
@@ -123,7 +127,7 @@ def _stepped(step, forcing, state, law):
 
 
 class Law:
-    """Friction of the rubber and excess velocity of the dampers, which have a memory.
+    """Friction of the springs and excess velocity of the dampers, which have a memory.
 
     Parameters
     ----------
@@ -137,22 +141,82 @@ class Law:
     def __init__(self, system, rich, change):
         self.n_friction, self.n_dampers = system.friction_n.shape[1], system.damping.shape[1]
         self.n_nonlinear = self.n_friction + self.n_dampers
-        self._friction = BergFriction(system.friction_n, rich.friction_half_m)
+        self._friction = BergFriction(system.friction_n, system.friction_half_m)
         own = change[:, change.shape[1] - self.n_dampers :, self.n_friction :]
-        softer = (1 / rich.slope_after - 1) / system.damping
-        self._gain = softer / (1 - softer * np.diagonal(own, axis1=1, axis2=2))
-        self._blow_off = system.blow_off_n
+        own = np.diagonal(own, axis1=1, axis2=2)
+        is_bent = system.rebound.any() or (system.exponent != 1).any()
+        self._excess = (BentDampers if is_bent else BlowOff)(system, rich.slope_after, own)
 
     def __call__(self, found, n):
-        """Fill n from (x~, stretch of the rubber)."""
+        """Fill n from (x~, stretch of the springs)."""
         end = found.shape[1] - self.n_friction
         if self.n_friction:
             n[:, : self.n_friction] = self._friction(found[:, end:])
         if self.n_dampers:
-            force = found[:, end - self.n_dampers : end]
-            # implicit: force + H_1 n is what the law is to hold for
-            within = np.minimum(np.maximum(force, -self._blow_off), self._blow_off)
-            np.multiply(force - within, self._gain, out=n[:, self.n_friction :])
+            self._excess(found[:, end - self.n_dampers : end], n[:, self.n_friction :])
+
+
+class BlowOff:
+    """Dampers that are softer beyond a force: their excess velocity in closed form.
+
+    Parameters
+    ----------
+    system : RichSystem
+    slope_after : float, [-]
+        Damping beyond the force of blow-off, over that below.
+    own : array of shape (n_trips, n_dampers)
+        How a damper's force follows its excess velocity at the end of a step.
+    """
+
+    def __init__(self, system, slope_after, own):
+        softer = (1 / slope_after - 1) / system.damping
+        self._gain, self._blow_off = softer / (1 - softer * own), system.blow_off_n
+
+    def __call__(self, force, out):
+        """Fill the excess velocity from the force without any."""
+        # implicit: force + H_1 n is what the law is to hold for
+        within = np.minimum(np.maximum(force, -self._blow_off), self._blow_off)
+        np.multiply(force - within, self._gain, out=out)
+
+
+class BentDampers:
+    """Dampers whose force is any rising function of their velocity, by Newton steps.
+
+    ``L = c (1 +- rebound) v_0 (v / v_0)^p``, + in rebound; beyond blow-off ``slope_after`` of it.
+    With the excess n = v - F / c at the end of a step, F = F~ + H_1 n becomes
+    ``F(v) (1 + H_1 / c) - H_1 v = F~``, whose left side rises with v. The arguments are those of
+    `BlowOff`.
+    """
+
+    def __init__(self, system, slope_after, own):
+        self._c, self._rebound, self._p = system.damping, system.rebound, system.exponent
+        self._blow_off, self._slope = system.blow_off_n, slope_after
+        self._kept, self._own = 1 + own / system.damping, -own
+        self._has_choke = (self._p != 1).any()
+
+    def force(self, v, sign):
+        """Return the force at a velocity v >= 0 of a direction and its derivative."""
+        strength = self._c * (1 + self._rebound * sign)
+        secant = strength * (v / CHOKE_M_PER_S) ** (self._p - 1) if self._has_choke else strength
+        whole, rise = secant * v, self._p * secant
+        within = np.minimum(whole, self._blow_off)
+        soft = np.where(whole > within, self._slope, 1.0)
+        return within + self._slope * (whole - within), soft * rise
+
+    def __call__(self, force, out):
+        """Fill the excess velocity from the force without any."""
+        sign, size = np.sign(force), np.abs(force)
+        v = np.zeros_like(size)
+        # Newton steps are monotone from 0 where the law is concave, from above where it is convex
+        if self._has_choke:
+            whole = CHOKE_M_PER_S * (size / (self._kept * self._c * CHOKE_M_PER_S)) ** (1 / self._p)
+            v = np.where(self._p > 1, np.minimum(size / self._own, whole), 0.0)
+        for _ in range(CHOKE_STEPS if self._has_choke else DAMPER_STEPS):
+            found, rise = self.force(v, sign)
+            left = self._kept * found + self._own * v - size
+            v = np.maximum(v - left / (self._kept * rise + self._own), 0.0)
+        held = (size - self._own * v) / self._kept
+        np.multiply(sign, v - held / self._c, out=out)
 
 
 class BergFriction:

@@ -76,7 +76,7 @@ def spectra(train, ratios, frequencies_hz, sides="mean", track="german_low", sho
         If the train is not linear.
     """
     if not train.is_linear:
-        raise ValueError("a train with blow-off or friction has no exact spectra: simulate trips")
+        raise ValueError("a nonlinear train has no exact spectra: simulate trips")
     frequencies_hz = np.asarray(frequencies_hz, dtype=float)
     density = np.stack(
         [

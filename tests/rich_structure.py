@@ -22,7 +22,14 @@ SENSORS = (
     "body right",
 )
 
-
+ADDED = (
+    *(("ballast", f"track {i}", f) for i in range(N_WHEELS) for f in ("z", "roll")),
+    ("torsion", "body", "torsion"),
+    *(("frame_torsion", f"bogie {i}", "torsion") for i in (1, 2)),
+    ("equipment", "equipment", "z"),
+    *(("floors", f"floor {side}", "z") for side in ("left", "right")),
+)
+"""Effects with coordinates of their own: effect, body and name of the motion."""
 PARTS = (
     *(
         (f"{kind}_p", side, f"axle{axle}")
@@ -54,6 +61,7 @@ class Structure:
 
     def __init__(self, train):
         self.train, self.effects = train, train.effects
+        self.is_elastic = bool(train.effects & {"contact", "ballast"})
         self._name_coordinates()
         self._bodies()
         self.parallel, self.series = Elements(self.n_u), Elements(self.n_u)
@@ -66,6 +74,7 @@ class Structure:
         for wheelset in range(N_WHEELS):
             self._rail(wheelset)
         self._bend()
+        self._hang()
         self.series.sort("damper")  # rich_motion.py has them last
         self.sensors = self._sensors()
 
@@ -75,6 +84,8 @@ class Structure:
         mass[self.laden] *= ratios[-1]
         turning = np.array([one in (("body", "pitch"), ("body", "yaw")) for one in self.names])
         mass[turning] *= ratios[-1] ** (2 * self.train.gyration_exponent)
+        if "equipment" in self.effects:  # it hangs below the rest of the body
+            mass[self.names.index(("body", "z"))] -= self.train.equipment_kg
         rows, series = self.parallel.rows, self.series.rows
         k, c, k_f, c_f = self.worn(ratios)
         n = len(mass)
@@ -122,19 +133,33 @@ class Structure:
         stiffness, *_ = self.worn(ratios)
         n, n_f = len(matrices.mass), len(matrices.series)
         a, b_r, b_v = matrices.state_space()
-        springs = self.parallel.where("spring") if "friction" in self.effects else []
+        t = self.train
+        springs, friction_n, friction_half_m = [], [], []
+        if "friction" in self.effects:
+            springs += self.parallel.where("spring").tolist()
+            friction_n += (t.friction_share * t.friction_half_m * stiffness[springs]).tolist()
+            friction_half_m += [t.friction_half_m] * len(springs)
+        if "secondary_friction" in self.effects:
+            beside = self.parallel.where("k_s").tolist()
+            springs += beside
+            friction_n += [t.secondary_friction_n] * len(beside)
+            friction_half_m += [t.secondary_friction_half_m] * len(beside)
         rubber = self.parallel.rows[springs]
-        n_dampers = len(self.series.where("damper")) if "blow_off" in self.effects else 0
+        has_laws = self.effects & {"blow_off", "rebound", "air_spring"}
+        dampers = self.series.where("damper") if has_laws else []
+        n_dampers = len(dampers)
         e = np.zeros((len(a), len(rubber) + n_dampers))
         e[n : 2 * n, : len(rubber)] = -rubber[:, :n].T / matrices.mass[:, None]
         e[len(a) - n_dampers :, len(rubber) :] = -np.diag(
             matrices.series_stiffness[n_f - n_dampers :]
         )
         lift = np.zeros((2, len(a)))
-        heave = np.array([freedom == "z" for _, freedom in self.names])
+        heave = np.array([f == "z" and not body.startswith("track") for body, f in self.names])
         lift[0, :n], lift[1, n : 2 * n] = heave, heave
         damping = matrices.series_damping[n_f - n_dampers :]
-        t = self.train
+        is_choke = np.isin(dampers, self.series.where("choke"))
+        rebound = t.rebound_share if "rebound" in self.effects else 0.0
+        blow_off = t.blow_off_m_per_s if "blow_off" in self.effects else math.inf
         return RichSystem(
             a,
             b_r,
@@ -145,39 +170,47 @@ class Structure:
             lift=lift,
             rubber_x=np.pad(rubber[:, :n], ((0, 0), (0, len(a) - n))),
             rubber_r=-rubber[:, n:],
-            friction_n=t.friction_share * t.friction_half_m * stiffness[springs],
+            friction_n=np.array(friction_n),
             damping=damping,
-            blow_off_n=t.blow_off_m_per_s * damping,
+            blow_off_n=np.where(is_choke, math.inf, blow_off * damping),
+            friction_half_m=np.array(friction_half_m),
+            rebound=np.where(is_choke, 0.0, rebound),
+            exponent=np.where(is_choke, t.choke_exponent, 1.0),
         )
 
     def _sensors(self):
-        """Return the vertical motion under ``SENSORS``, (6, n_u)."""
+        """Return what ``SENSORS`` read, (6, n_u): vertical motion, and a share of the lateral."""
         t = self.train
         places = [
-            ("wheelset 0", 0.0),
-            ("bogie 1", t.half_wheelbase_m),
-            ("body", t.half_pivot_m),
+            ("wheelset 0", 0.0, 0.0),
+            ("bogie 1", t.half_wheelbase_m, 0.0),
+            ("body", t.half_pivot_m, -t.floor_below_m),
         ]
-        found = np.stack(
+        moved = np.stack(
             [
-                self.bodies[name].motion((x, side * t.sensor_half_m, 0.0))[2]
-                for name, x in places
+                self.bodies[name].motion((x, side * t.sensor_half_m, z))
+                for name, x, z in places
                 for side in (1, -1)
             ]
         )
+        found, aside = moved[:, 2], moved[:, 1]
+        if "floors" in self.effects:
+            found[4:] = [self.row[f"floor {side}", "z"] for side in ("left", "right")]
         # an arm is a rigid rod between two points: along it the motion changes evenly
         on_arm = np.eye(len(found))
         on_arm[:2, :2] *= 1 - t.sensor_on_arm
         on_arm[:2, 2:4] = t.sensor_on_arm * np.eye(2)
-        return on_arm @ found
+        shares = np.array([getattr(t, f"cross_axis_{i}") for i in range(len(found))])
+        return on_arm @ found + shares[:, None] * (on_arm @ aside)
 
     def _name_coordinates(self):
         """Give each motion its column of u."""
-        moving = FREEDOMS if "contact" in self.effects else ("y", "yaw")
+        moving = FREEDOMS if self.is_elastic else ("y", "yaw")
         moving = [name for name in moving if name != "pitch"]
         names = [(body, f) for body in ("body", "bogie 1", "bogie 2") for f in FREEDOMS]
         names += [(f"wheelset {i}", f) for i in range(N_WHEELS) for f in moving]
         names += [("body", b) for b in ("bending", "second_bending") if b in self.effects]
+        names += [(one, f) for effect, one, f in ADDED if effect in self.effects]
         self.names = names
         self.n_u = len(names) + N_WHEELS * self.train.n_processes
         self.row = dict(zip(names, np.eye(self.n_u), strict=False))
@@ -189,7 +222,7 @@ class Structure:
                 held = p < self.train.n_processes
                 row = scale * np.eye(self.n_u)[column] if held else np.zeros(self.n_u)
                 self.row[f"rail {i}", name] = row
-                if "contact" not in self.effects and name != "y":
+                if not self.is_elastic and name != "y":
                     self.row[f"wheelset {i}", name] = row
 
     def _bodies(self):
@@ -201,15 +234,21 @@ class Structure:
         if "second_bending" in self.effects:
             shape = beam(t.second_bending_length_m, second_bending_shape)
             shapes.append((self.row["body", "second_bending"], shape))
+        body, bogie = 4 * AM96.body_mass_kg, 2 * t.bogie_mass * AM96.bogie_mass_kg
+        centre = np.array([t.load_x_m, t.load_y_m, 0.0])
+        if "equipment" in self.effects:  # body and equipment balance about the middle of the body
+            share = t.equipment_kg / (body - t.equipment_kg)
+            centre -= share * np.array([t.equipment_x_m, t.equipment_y_m, 0.0])
         names = dict.fromkeys(body for body, _ in self.row)
         self.bodies = {
             name: Body(
                 {f: self.row[name, f] for f in FREEDOMS if (name, f) in self.row},
                 tuple(shapes) if name == "body" else (),
+                self._warps(name),
+                tuple(centre.tolist()) if name == "body" else (0.0, 0.0, 0.0),
             )
             for name in names
         }
-        body, bogie = 4 * AM96.body_mass_kg, 2 * t.bogie_mass * AM96.bogie_mass_kg
         pitch = t.body_gyration * AM96.body_gyration_m
         bogie_pitch = t.bogie_gyration * AM96.bogie_gyration_m
         gyrations = {
@@ -220,11 +259,33 @@ class Structure:
                 "yaw": t.yaw_gyration_m,
             },
             "wheelset": {"roll": t.wheelset_gyration_m, "yaw": t.wheelset_gyration_m},
+            "track": {"roll": t.contact_half_m},
         }
-        masses = {"body": body, "bogie": bogie, "wheelset": t.wheelset_kg}
+        gyrations["body"]["torsion"] = t.body_roll_gyration_m
+        # the shape of a frame's twist is 1 at the springs
+        turned = bogie_pitch * t.bogie_roll_gyration_m
+        gyrations["bogie"]["torsion"] = turned / (t.half_wheelbase_m * t.primary_half_m)
+        masses = {"body": body, "bogie": bogie, "wheelset": t.wheelset_kg, "track": t.track_kg}
+        masses |= {"equipment": t.equipment_kg, "floor": t.floors_kg}
         kinds = [(name.split()[0], freedom) for name, freedom in self.names]
-        self.mass = np.array([masses[k] * gyrations[k].get(f, 1.0) ** 2 for k, f in kinds])
+        self.mass = np.array([masses[k] * gyrations.get(k, {}).get(f, 1.0) ** 2 for k, f in kinds])
         self.laden = np.array([kind == "body" for kind, _ in kinds])
+
+    def _warps(self, name):
+        """Return how torsion moves the points of a body or a frame."""
+        if (name, "torsion") not in self.row:
+            return ()
+        t = self.train
+        corner = t.half_wheelbase_m * t.primary_half_m
+
+        def twisted(point):
+            twist = torsion_shape(point[0], t.body_length_m)
+            return np.array([0.0, -twist * point[2], twist * point[1]])
+
+        def warped(point):
+            return np.array([0.0, 0.0, point[0] * point[1] / corner])
+
+        return ((self.row[name, "torsion"], twisted if name == "body" else warped),)
 
     def _join(self, one, its_point, other, other_point, direction, k, c, label):
         """Add a spring with a damper beside it."""
@@ -234,7 +295,7 @@ class Structure:
 
     def _damper(self, stretch, c, bushing, label):
         """Add a damper, in series with its bushing where there are any."""
-        if self.effects & {"bushings", "blow_off"}:
+        if self.effects & {"bushings", "blow_off", "rebound", "air_spring"}:
             self.series.add(stretch, bushing, c, f"{label} damper")
         else:
             self.parallel.add(stretch, 0.0, c, label)
@@ -250,12 +311,17 @@ class Structure:
             k_s = t.k_s * AM96.secondary_stiffness_n_per_m
             stretch = self._join("body", top, frame, bottom, (0, 0, 1), k_s, 0.0, f"k_s {where}")
             c_s = t.c_s * AM96.secondary_damping_ns_per_m
-            self._damper(stretch, c_s, t.secondary_bushing_n_per_m, f"c_s {where}")
+            series, what = t.secondary_bushing_n_per_m, ""
+            if "air_spring" in self.effects:
+                series, what = t.closed_choke * k_s, " choke"
+            self._damper(stretch, c_s, series, f"c_s {where}{what}")
             lateral = t.lateral_n_per_m, t.lateral_ns_per_m, "lateral"
             self._join("body", top, frame, bottom, (0, 1, 0), *lateral)
             along = t.longitudinal_n_per_m, t.longitudinal_ns_per_m, "longitudinal"
             self._join("body", (x, y, -down), frame, (0.0, y, up), (1, 0, 0), *along)
         twist = self.row["body", "roll"] - self.row[frame, "roll"]
+        if "torsion" in self.effects:
+            twist = twist + torsion_shape(x, t.body_length_m) * self.row["body", "torsion"]
         self.parallel.add(twist, t.anti_roll_nm, 0.0, "anti-roll bar")
 
     def _primary(self, bogie, its_axle, x, wheelset):
@@ -293,11 +359,19 @@ class Structure:
         self._own_stiffness[i] -= ahead * yaw
         self._own_damping[j] += 2 * t.creep_n * half**2 / t.speed_m_per_s * yaw
         self._own_stiffness[j] += ahead * t.conicity * half / t.wheel_radius_m * aside
-        if "contact" in self.effects:
+        if self.is_elastic:
             for sign in (1.0, -1.0):
                 point = (0.0, sign * half, 0.0)
                 values = t.contact_n_per_m, t.contact_ns_per_m, "contact"
-                self._join(name, point, rail, point, (0, 0, 1), *values)
+                if "ballast" not in self.effects:
+                    self._join(name, point, rail, point, (0, 0, 1), *values)
+                    continue
+                # unevenness lies between wheel and rail; the rail moves on the ballast by itself
+                sunk = self.bodies[f"track {wheelset}"].motion(point)[2]
+                above = self.bodies[name].motion(point)[2] - self.bodies[rail].motion(point)[2]
+                self.parallel.add(above - sunk, *values)
+                bed = t.ballast_n_per_m / 2, t.ballast_ns_per_m / 2, "ballast"
+                self.parallel.add(sunk, *bed)
 
     def _bend(self):
         """Give the bendings of the body their own stiffness and damping."""
@@ -307,6 +381,27 @@ class Structure:
                 omega = 2 * math.pi * getattr(t, f"{name}_hz")
                 damping = 2 * getattr(t, f"{name}_damping") * empty * omega
                 self.parallel.add(self.row["body", name], empty * omega**2, damping, name)
+
+    def _hang(self):
+        """Give torsions, equipment and floors their springs and dampers."""
+        t, masses = self.train, dict(zip(self.names, self.mass, strict=True))
+        places = {"equipment": (t.equipment_x_m, t.equipment_y_m)}
+        for side, sign in (("left", 1.0), ("right", -1.0)):
+            places[f"floor {side}"] = (t.half_pivot_m, sign * t.sensor_half_m)
+        for effect, name, freedom in ADDED:
+            if effect not in self.effects - {"ballast"}:
+                continue
+            row, mass = self.row[name, freedom], masses[name, freedom]
+            if name in places:
+                row = self.bodies["body"].motion((*places[name], -t.floor_below_m))[2] - row
+            hz = t.floors_right_hz if name == "floor right" else getattr(t, f"{effect}_hz")
+            omega, damping = 2 * math.pi * hz, getattr(t, f"{effect}_damping")
+            self.parallel.add(row, mass * omega**2, 2 * damping * mass * omega, effect)
+
+
+def torsion_shape(x_m, length_m):
+    """Return the first torsion of a free uniform bar at x from its centre; its mean square is 1."""
+    return math.sqrt(2) * math.sin(math.pi * x_m / length_m)
 
 
 def second_bending_shape(x_m, length_m):

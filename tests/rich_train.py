@@ -1,8 +1,9 @@
 """A train in three dimensions, richer than the family of vehicles that suspnet is trained for.
 
 Body and two bogies move along y and z, roll, pitch and yaw; four wheelsets move along y and yaw,
-and along z and in roll where the contact is elastic; the body bends. About 32 degrees of freedom,
-from elements between points in space (rich_structure.py), about the centres of gravity.
+and along z and in roll where the contact is elastic; the body bends. 32 degrees of freedom, 47
+with all effects of rich_effects.py, from elements between points in space (rich_structure.py),
+about the centres of gravity.
 
 Numbers without a source are assumed. Those of the Manchester benchmark's size (Iwnicki, Veh. Syst.
 Dyn. 30, 1998; its text was not at hand) say so; masses, suspensions and lengths are the AM96's.
@@ -15,77 +16,9 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
+from rich_effects import EFFECTS, FAMILY, LAWS, SCATTER, SHIFTS, UNEQUAL
 from rich_structure import PARTS, PROCESSES, Structure
 from vehicles import AM96
-
-FAMILY = (
-    "healthy",
-    "inertias",
-    "geometry",
-    "bushings",
-    "rubber",
-    "guidance",
-    "longitudinal",
-    "bending",
-    "roll",
-    "contact",
-)
-OF_THE_TRIP = ("payload", "sensors", "wheelsets", "axle_box_arm")
-OUTSIDE = ("second_bending", "one_side", "unequal", "blow_off", "friction", "drift", "bogie_mass")
-EFFECTS = (*FAMILY, *OF_THE_TRIP, *OUTSIDE)
-"""What a train can have; drift is of its speed (rich_train_trips.py).
-
-``FAMILY`` is what suspnet's family of vehicles knows, the contact aside. Dampers that blow off have
-bushings, whether these are asked for or not.
-"""
-
-UNEQUAL = 0.05
-"""Standard deviation of the logarithm of each spring and damper of a train that is unequal."""
-SCATTER = {
-    "healthy": {"k_p": 0.2, "c_p": 0.4, "k_s": 0.2, "c_s": 0.3},
-    "inertias": {"body_gyration": 0.15, "bogie_gyration": 0.15},
-    "geometry": {"half_wheelbase": 0.05, "half_pivot_distance": 0.05},
-    "bushings": {"primary_bushing_n_per_m": 0.7, "secondary_bushing_n_per_m": 0.7},
-    "rubber": {"maxwell_share": 0.5, "maxwell_hz": 0.3},
-    "guidance": {"guidance_height_m": 0.5, "guidance_ns_per_m": 0.7},
-    "longitudinal": {
-        "longitudinal_n_per_m": 0.7,
-        "longitudinal_ns_per_m": 0.7,
-        "body_arm_m": 0.1,
-        "bogie_arm_m": 0.1,
-    },
-    "bending": {"bending_hz": 0.2, "bending_damping": 0.4, "body_length_m": 0.05},
-    "roll": {
-        "body_roll_gyration_m": 0.2,
-        "bogie_roll_gyration_m": 0.2,
-        "primary_half_m": 0.05,
-        "secondary_half_m": 0.05,
-        "anti_roll_nm": 0.7,
-        "lateral_n_per_m": 0.3,
-        "lateral_ns_per_m": 0.3,
-        "cross_level": 0.4,
-        "alignment": 0.4,
-    },
-    "contact": {"contact_n_per_m": 0.2, "contact_ns_per_m": 0.3},
-    "second_bending": {"second_bending_hz": 0.15},
-    "bogie_mass": {"bogie_mass": 0.05},
-}
-"""Half widths: a true number is drawn evenly in its logarithm about the drawing's."""
-SHIFTS = {
-    "payload": {
-        "bending_exponent": (0.0, 0.5),
-        "gyration_exponent": (-0.1, 0.1),
-        "stiffness_exponent": (0.0, 0.8),
-        "damping_exponent": (0.0, 0.4),
-    },
-    "sensors": {
-        **{f"sensitivity_{i}": (0.98, 1.02) for i in range(6)},
-        **{f"late_s_{i}": (-3e-4, 3e-4) for i in range(6)},
-    },
-    "wheelsets": {"wheelset_share": (0.001, 0.01)},
-    "axle_box_arm": {"sensor_on_arm": (-0.1, 0.1)},
-}
-"""Ends of the ranges of numbers that are drawn evenly."""
 
 
 @dataclass(frozen=True)
@@ -191,6 +124,55 @@ class RichTrain:
     slope_after: float = 0.2
     friction_share: float = 0.1
     friction_half_m: float = 1e-3
+    # A vertical damper's force in rebound is stronger, in compression weaker by this share
+    rebound_share: float = 0.15
+    # Dry friction beside each secondary spring: seals of its damper and joints of the anti-roll bar
+    secondary_friction_n: float = 120.0
+    secondary_friction_half_m: float = 5e-4
+    # Air spring (Berg, Veh. Syst. Dyn. 33 suppl., 1999): with its reservoir it has k_s, with a
+    # closed choke that much more; the choke, F ~ v^1.8, takes the place of the damper and has c_s
+    # at 0.05 m/s. A reservoir as large as the bag: 1
+    closed_choke: float = 1.2
+    choke_exponent: float = 1.8
+    # First torsion of the body: 8 to 13 Hz, near the first bending
+    torsion_hz: float = 10.0
+    torsion_damping: float = 0.02
+    # Converter or transformer hung below the floor, as a vibration absorber of the first bending
+    # (Gong et al., J. Mech. Eng. 52/18, 2016); its place is relative to the body's middle
+    equipment_kg: float = 3000.0
+    equipment_hz: float = 7.0
+    equipment_damping: float = 0.06
+    equipment_x_m: float = 2.0
+    equipment_y_m: float = 0.2
+    # Twist of the frame, z ~ x y: 5 to 20 % of that of the primary springs below it
+    frame_torsion_hz: float = 30.0
+    frame_torsion_damping: float = 0.02
+    # Floor on elastic supports below the left and the right sensor: stiff ones amplify 20 to 50 Hz
+    # (Gong et al., J. Tongji Univ. 45, 2017); floating floors, which are meant here, are softer
+    floors_kg: float = 40.0
+    floors_hz: float = 14.0
+    floors_right_hz: float = 14.0
+    floors_damping: float = 0.06
+    floor_below_m: float = 0.6  # below the body's centre: Manchester benchmark's size
+    # Under a wheelset: the track of TTB-2D (Cantero, SoftwareX 20, 2022) yields so; the mass
+    # that moves along is 3 / (2 beta) of rails and sleepers, 653 kg/m on Zimmermann's beam with
+    # beta = (K / (8 E I))^(1/3) = 0.96 per m
+    ballast_n_per_m: float = 9e7
+    ballast_ns_per_m: float = 2e5
+    track_kg: float = 1000.0
+    # Share of the lateral acceleration that each sensor reads: transverse sensitivity of 1 to 5 %
+    # in data sheets, 1.7 % a degree of tilt
+    cross_axis_0: float = 0.0
+    cross_axis_1: float = 0.0
+    cross_axis_2: float = 0.0
+    cross_axis_3: float = 0.0
+    cross_axis_4: float = 0.0
+    cross_axis_5: float = 0.0
+    # Wheels out of round (rich_line.py) are drawn from it
+    wheels_seed: int = 0
+    # The laden body's centre of gravity, of one trip
+    load_x_m: float = 0.0
+    load_y_m: float = 0.0
 
     def __post_init__(self):
         unknown = sorted(set(self.effects) - set(EFFECTS))
@@ -218,6 +200,8 @@ class RichTrain:
         if "unequal" in effects:
             own = np.random.default_rng([seed, 14])
             found["parts"] = tuple(np.exp(UNEQUAL * own.standard_normal(2 * len(PARTS))).tolist())
+        if "out_of_round" in effects:
+            found["wheels_seed"] = seed
         return cls(effects=frozenset(effects), **(found | changes))
 
     def unequal(self):
@@ -296,7 +280,7 @@ class RichTrain:
     @property
     def is_linear(self):
         """Return whether spectra and modes hold all that the train has."""
-        return not self.effects & {"blow_off", "friction"}
+        return not self.effects & set(LAWS)
 
     @cached_property
     def _structure(self):

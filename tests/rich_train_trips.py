@@ -11,9 +11,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import yaml
 from joblib import Parallel, delayed
+from rich_line import Wheels, of_the_trip, rough_profiles, wandering_journey
 from rich_modes import simulate_modes
 from rich_motion import simulate
+from rich_sensors import own_sensor, recorded
 from rich_spectra import process_spectra
+from rich_structure import SENSORS
 from rich_trips import DRIFT
 from scipy.signal import resample_poly
 from vehicles import AM96
@@ -29,8 +32,8 @@ from suspnet.vehicle.track import make_profile
 
 SIDES = ("left", "right")
 WRITTEN = ("pair", "mean", *SIDES)
-TOGETHER = 16
-"""Trips stepped at once: a GB of 20 minutes at 1000 Hz."""
+TOGETHER = 24
+"""Trips stepped at once: 350 MB of 20 minutes at 250 Hz."""
 
 
 def write_train_trips(
@@ -57,7 +60,7 @@ def write_train_trips(
         nominal.
     fleet : Fleet
     seed : int
-        Trip i draws track, noise and journey from (seed, i) alone.
+        Trip i draws track, noise, journey and its rough effects from (seed, i) alone.
     sides : {"pair", "mean", "left", "right"}
         "pair" has lists of two sensors as channels, "mean" writes their average as one sensor's.
     speeds_m_per_s : sequence of float, optional, [m/s]
@@ -65,27 +68,28 @@ def write_train_trips(
     rate_hz : float, optional, [Hz]
         Of the steps; the fastest sensor's if not given.
     n_jobs : int
-        Trips at the same time. Trains with blow-off or friction are stepped together.
+        Trips at the same time. Trains with nonlinear laws are stepped together.
     roughness : sequence of float, optional, [-]
         Amplitude of the track of each trip over the fleet's.
     """
     if sides not in WRITTEN:
         raise ValueError(f"`sides` must be one of {WRITTEN}, got {sides!r}")
-    if train.effects & {"sensors", "wheelsets"}:
-        raise ValueError("sensors and wheelsets are for spectra (rich_spectra.py), not in time")
+    if "wheelsets" in train.effects:
+        raise ValueError("`wheelsets` are for spectra (rich_spectra.py): ask for out_of_round")
     ratios = np.asarray(ratios, dtype=float)
     rate_hz = rate_hz or max(sensor.rate_hz for sensor in fleet.loggers().values())
     speeds = [fleet.speed_m_per_s] * len(ratios) if speeds_m_per_s is None else speeds_m_per_s
-    sources = [np.random.SeedSequence([seed, i]).spawn(3) for i in range(len(ratios))]
+    sources = [np.random.SeedSequence([seed, i]).spawn(4) for i in range(len(ratios))]
+    trains, warm = zip(*(of_the_trip(train, _rng(own[3])) for own in sources), strict=True)
     rough = [1.0] * len(ratios) if roughness is None else roughness
     drives = [
-        Drive(train.at(v), replace(fleet, speed_m_per_s=float(v)), rate_hz, track, journey, by)
-        for v, by, (track, _, journey) in zip(speeds, rough, sources, strict=True)
+        Drive(own.at(v), replace(fleet, speed_m_per_s=float(v)), rate_hz, track, journey, by)
+        for own, v, by, (track, _, journey, _) in zip(trains, speeds, rough, sources, strict=True)
     ]
 
     def write(i, signals):
-        noise = np.random.default_rng(sources[i][1])
-        return _write(folder, fleet, train, i, ratios[i], drives[i], signals, sides, noise)
+        rngs = _rng(sources[i][1]), _rng(sources[i][3]).spawn(len(SENSORS))
+        return _write(folder, fleet, i, ratios[i], drives[i], signals, sides, rngs, warm[i])
 
     if train.is_linear:
         jobs = (
@@ -142,11 +146,23 @@ class Drive:
             make_profile(density, length_m, top / self.rate_hz, int(seed))
             for density, seed in zip(densities, seeds, strict=True)
         ]
+        effects = self.train.effects
+        if effects & {"changing_roughness", "welds", "crossings"}:
+            profiles = rough_profiles(profiles, effects, _rng([*seeds, 1]))
+        wheels = None
+        if "out_of_round" in effects:
+            wheels = Wheels(self.train.wheel_radius_m, _rng(self.train.wheels_seed))
 
         def inputs(times):
             position, speed, acceleration = self.journey.at(times)
             places = start_m + position - behind_m[:, None]
-            r, slope, curvature = np.concatenate([p.at(places) for p in profiles], axis=1)
+            profile = [p.at(places) for p in profiles]
+            if wheels is not None:
+                turned = np.broadcast_to(position, behind_m.shape + position.shape)
+                added = wheels.at(turned)
+                added /= self.roughness  # it is of the track alone
+                profile[:2] = [p + own for p, own in zip(profile, added, strict=False)]
+            r, slope, curvature = np.concatenate(profile, axis=1)
             motion = np.stack([r, slope * speed, curvature * speed**2 + slope * acceleration])
             return self.roughness * motion
 
@@ -154,6 +170,9 @@ class Drive:
 
     def _journey(self, source):
         """Return the fleet's journey, or one whose speed drifts up or down."""
+        if "wander" in self.train.effects:
+            duration_s = 60 * self.fleet.minutes
+            return wandering_journey(self.fleet.speed_m_per_s, duration_s, _rng(source))
         if "drift" not in self.train.effects:
             return self.fleet.journey_of(int(source.generate_state(1)[0]))
         drift = DRIFT * np.random.default_rng(source).choice([-1.0, 1.0])
@@ -177,23 +196,27 @@ def true_ratios(train, ratios, sides):
     return dict(zip(PARAMETERS, ratios.tolist(), strict=True))
 
 
-def _write(folder, fleet, train, index, ratios, drive, signals, sides, rng):
+def _write(folder, fleet, index, ratios, drive, signals, sides, rngs, temperature_c):
     """Write the files of one trip and return its manifest."""
     name, channels = f"trip_{index + 1:03d}", {}
     (folder / name).mkdir(parents=True)
-    loggers = fleet.loggers()
-    for (channel, sensor), pair in zip(loggers.items(), signals.reshape(3, 2, -1), strict=True):
+    loggers, train, (rng, own_rngs) = fleet.loggers(), drive.train, rngs
+    channels_of = zip(loggers.items(), signals.reshape(3, 2, -1), strict=True)
+    for kind, ((channel, sensor), pair) in enumerate(channels_of):
         ratio = Fraction(sensor.rate_hz / drive.rate_hz).limit_denominator(1000)
         if ratio != 1:
             up, down = ratio.numerator, ratio.denominator
             pair = resample_poly(pair, up, down, axis=1, window=ANTI_ALIAS)
-        recorded = dict(zip(SIDES, (sensor.record(one, rng) for one in pair), strict=True))
+        found = {}
+        for i, (side, signal) in enumerate(zip(SIDES, pair, strict=True), 2 * kind):
+            signal = own_sensor(train, sensor, i).record(signal, rng)
+            found[side] = recorded(train.effects, kind, signal, sensor.rate_hz, own_rngs[i])
         if sides == "mean":
-            recorded = {"mean": sum(recorded.values()) / 2}
+            found = {"mean": sum(found.values()) / 2}
         file = f"{name}/{channel}.parquet"
-        _write_columns(folder / file, recorded)
+        _write_columns(folder / file, found)
         channels[channel] = [
-            SensorSource(file, "m/s2", column=column, rate_hz=sensor.rate_hz) for column in recorded
+            SensorSource(file, "m/s2", column=column, rate_hz=sensor.rate_hz) for column in found
         ]
     seconds = np.arange(math.floor(drive.journey.duration_s) + 1.0)
     _write_columns(folder / name / "speed.parquet", {"speed": drive.journey.at(seconds)[1]})
@@ -206,6 +229,7 @@ def _write(folder, fleet, train, index, ratios, drive, signals, sides, rng):
             suspension=fleet.suspension,
             mileage_km=float(fleet.mileage_km()[index]),
             start=FIRST_DAY + time_between(fleet) * index,
+            temperature_c=temperature_c,
             speed=SpeedSource(f"{name}/speed.parquet", "m/s", column="speed", rate_hz=1.0),
             channels=chosen or {name: found[0] for name, found in channels.items()},
             truth=true_ratios(train, ratios, sides),
@@ -219,6 +243,10 @@ def _write(folder, fleet, train, index, ratios, drive, signals, sides, rng):
         }
         path.write_text(yaml.safe_dump(content, sort_keys=False, default_flow_style=None))
     return path
+
+
+def _rng(source):
+    return np.random.default_rng(source)
 
 
 def _write_columns(path, columns):

@@ -85,6 +85,9 @@ class RichSystem:
     friction_n: np.ndarray  # F_max, (n_friction,)
     damping: np.ndarray  # c of each damper, (n_dampers,)
     blow_off_n: np.ndarray  # (n_dampers,)
+    friction_half_m: np.ndarray  # x_2, (n_friction,)
+    rebound: np.ndarray  # how much stronger a damper is in rebound, weaker in compression
+    exponent: np.ndarray  # of a damper's velocity in its force, (n_dampers,)
 
 
 def bending_shape(x_m, length_m):
@@ -140,6 +143,9 @@ def build(ratios, rich):
         friction_n=f_max[:n_friction],
         damping=dampers[:n_dampers],
         blow_off_n=rich.blow_off_m_per_s * dampers[:n_dampers],
+        friction_half_m=np.full(n_friction, rich.friction_half_m),
+        rebound=np.zeros(n_dampers),
+        exponent=np.ones(n_dampers),
     )
 
 

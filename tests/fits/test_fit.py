@@ -6,8 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from rich_effects import FAMILY
 from rich_spectra import drawn_estimates
-from rich_train import FAMILY, RichTrain
+from rich_train import RichTrain
 from scipy.optimize import minimize
 from vehicles import AM96
 

@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from rich_train import FAMILY, RichTrain
+from rich_effects import FAMILY
+from rich_train import RichTrain
 from rich_train_trips import write_train_trips
 from rich_trips import SENSORS
 from vehicles import AM96

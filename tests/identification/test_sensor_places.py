@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from rich_effects import FAMILY, OF_THE_TRIP
 from rich_spectra import drawn_estimates
-from rich_train import FAMILY, OF_THE_TRIP, RichTrain
+from rich_train import RichTrain
 from vehicles import AM96
 
 from suspnet import VerticalVehicle, read_vehicles

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from reference import phasors
+from rich_effects import EFFECTS, FAMILY, OUTSIDE, ROUGH, SCATTER
 from rich_modes import Modes, simulate_modes
 from rich_motion import simulate
 from rich_spectra import (
@@ -19,7 +20,7 @@ from rich_spectra import (
     spectra,
 )
 from rich_structure import second_bending_shape
-from rich_train import EFFECTS, FAMILY, OUTSIDE, SCATTER, RichTrain
+from rich_train import RichTrain
 from rich_train_trips import true_ratios
 from rich_vehicle import RichVehicle, bending_shape
 from scipy.signal import csd
@@ -312,7 +313,7 @@ def test_pair_sees_about_the_mean_where_one_side_wears():
     assert true_ratios(RichTrain(), WORN, "mean")["k_p"] == WORN[0]
 
 
-@pytest.mark.parametrize("effect", [e for e in EFFECTS if e not in ("healthy", "drift")])
+@pytest.mark.parametrize("effect", [e for e in EFFECTS if e not in ("healthy", "drift", *ROUGH)])
 def test_each_effect_changes_what_the_sensors_see(effect):
     train = RichTrain.scattered(1, {effect})
     track = tones(RichTrain(), [1.4, 5.2, 9.0], velocity=0.3)

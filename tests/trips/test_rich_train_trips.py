@@ -4,8 +4,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import yaml
+from rich_effects import FAMILY
 from rich_spectra import expected_estimates
-from rich_train import FAMILY, RichTrain
+from rich_train import RichTrain
 from rich_train_trips import write_train_trips
 from scipy.signal import csd
 from vehicles import AM96

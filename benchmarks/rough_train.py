@@ -1,0 +1,167 @@
+"""How well the parts of rough trains are read, which have what suspnet's family lacks.
+
+python benchmarks/rough_train.py [--sets "flexible modes" ballast all] [--seeds 0] [--minutes 20]
+
+Each set is one of SETS of tests/rich_train.py. A bogie is commissioned on healthy trips of payloads
+0.95 to 1.18; then each of its twelve parts wears on a trip of its own, and healthy trips follow.
+Writes a row of each trip to rough_train.csv, in place of those of the same set and seed, and prints
+a line for each set: misfit, rms errors and coverage by kind of part, parts named, trips flagged.
+"""
+
+import csv
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+from cells import Parser, at_least
+from foreign_trains import TESTS
+from named_parts import Z90
+from rich_effects import SETS
+from rich_train import RichTrain
+from rich_train_trips import write_train_trips
+from tabulate import tabulate
+from vehicles import AM96
+
+import suspnet
+from suspnet.estimation.flags import with_bogie_doubt
+from suspnet.ground.parameters import COMPONENTS
+from suspnet.trains.fits.bogie_fit import fit_parts
+from suspnet.trains.identification.bogie_trips import PARTS_OF_BOGIE
+from suspnet.trains.simulation import Fleet
+
+RESULTS = TESTS.parent / "benchmarks" / "results"
+LEVELS = (0.5, 0.62, 0.75, 0.85, 0.92)
+PAYLOADS = (0.95, 1.18)
+KINDS = ("k_p", "c_p", "k_s", "c_s")
+RATE_HZ = 250.0
+
+
+def drawn_ratios(options, seed):
+    """Return the ratios of each trip, (n_trips, 13): healthy, one part each, healthy again."""
+    rng = np.random.default_rng([seed, 30])
+    n_parts = len(COMPONENTS) - 1
+    ratios = np.ones((options.healthy + options.worn + options.later, n_parts + 1))
+    ratios[:, -1] = rng.uniform(*PAYLOADS, len(ratios))
+    ratios[: options.healthy, -1] = rng.permutation(np.linspace(*PAYLOADS, options.healthy))
+    # each kind of part at low and high levels, in another order for each seed
+    levels = np.resize(rng.permutation(LEVELS), n_parts)
+    for i, part in enumerate(np.linspace(0, n_parts - 1, options.worn).round().astype(int)):
+        ratios[options.healthy + i, part] = levels[part]
+    return ratios
+
+
+def read(name, seed, options, folder):
+    """Return a row of each trip of one train."""
+    ratios = drawn_ratios(options, seed)
+    fleet = Fleet(n_trips=len(ratios), minutes=options.minutes, rate_hz=RATE_HZ)
+    begun = time.perf_counter()
+    paths = write_train_trips(
+        folder, RichTrain.scattered(seed, SETS[name]), ratios, fleet, seed, rate_hz=RATE_HZ
+    )
+    print(f"{name}, {seed}: {time.perf_counter() - begun:.0f} s to simulate", flush=True)
+    vehicle = suspnet.SpatialVehicle(AM96, parts=PARTS_OF_BOGIE, distribution="prior")
+    trips = [
+        suspnet.bogie_trip(suspnet.load_recording(suspnet.read_manifest(path), 100.0), vehicle)
+        for path in paths
+    ]
+    begun = time.perf_counter()
+    commissioned = suspnet.commission_bogie(vehicle, trips[: options.healthy])
+    took = time.perf_counter() - begun
+    print(f"{name}, {seed}: {took:.0f} s, misfit {commissioned.misfit:.2f}", flush=True)
+    head = {"set": name, "seed": seed, "minutes": options.minutes, "n_healthy": options.healthy}
+    head |= {"healthy_misfit": f"{commissioned.misfit:.3f}", "commission_s": f"{took:.0f}"}
+    head |= {"commission_is_done": int(commissioned.converged)}
+    later = range(options.healthy, len(trips))
+    doubt = {"has_converged": commissioned.converged, "misfit": commissioned.misfit}
+    rows = []
+    for i in later:
+        found = fit_parts(commissioned, trips[i])
+        flags = with_bogie_doubt(found.as_estimate().flags, **doubt).flagged[0]
+        is_flagged = flags or not found.converged  # as by estimate_parts
+        row = head | {"trip": i} | row_of(found, ratios[i])
+        rows.append(row | {"flagged": int(is_flagged), "is_done": int(found.converged)})
+    return rows
+
+
+def row_of(found, truth):
+    """Return what was read of one trip."""
+    errors = np.log(found.values) - np.log(truth)
+    worn = [name for name, true in zip(COMPONENTS[:-1], truth[:-1], strict=True) if true != 1]
+    accused = ["+".join(one.names) for one in suspnet.worn_parts(found)]
+    row = {"part": worn[0] if worn else "healthy", "misfit": f"{found.misfit:.3f}"}
+    if worn:
+        place = COMPONENTS.index(worn[0])
+        row |= {"percent": 100 * truth[place], "read_percent": f"{100 * found.values[place]:.2f}"}
+    else:
+        row |= {"percent": 100.0, "read_percent": ""}
+    row |= {"accused": " ".join(accused), "verdict": verdict(worn, accused)}
+    for kind in (*KINDS, "M_s"):
+        of = np.array([name.startswith(kind) for name in COMPONENTS])
+        held = np.abs(errors[of]) < Z90 * found.deviations[of]
+        row[f"rms_{kind}_percent"] = f"{100 * np.sqrt(np.mean(errors[of] ** 2)):.3f}"
+        row[f"held_{kind}_percent"] = f"{100 * held.mean():.0f}"
+        row[f"width_{kind}_percent"] = f"{100 * Z90 * np.median(found.deviations[of]):.2f}"
+    return row
+
+
+def verdict(worn, accused):
+    """Return right, wrong or silent: parts that did not wear are accused, or none is."""
+    if any(not set(worn) & set(group.split("+")) for group in accused):
+        return "wrong"
+    return "right" if bool(accused) == bool(worn) else "silent"
+
+
+def table(rows):
+    """Return a line for each set and seed."""
+    lines = []
+    for name, seed in dict.fromkeys((row["set"], str(row["seed"])) for row in rows):
+        of = [row for row in rows if (row["set"], str(row["seed"])) == (name, seed)]
+        worn = [row for row in of if row["part"] != "healthy"]
+        line = {"set": name, "seed": seed, "misfit": of[0]["healthy_misfit"]}
+        for kind in KINDS:
+            squares = [float(row[f"rms_{kind}_percent"]) ** 2 for row in worn]
+            held = np.mean([float(row[f"held_{kind}_percent"]) for row in worn])
+            width = np.median([float(row[f"width_{kind}_percent"]) for row in worn])
+            line[kind] = f"{np.sqrt(np.mean(squares)):.2g} / +-{width:.2g} / {held:.0f}"
+        line["right"] = sum(row["verdict"] == "right" for row in worn)
+        line["wrong"] = sum(row["verdict"] == "wrong" for row in of)
+        line["flagged"] = f"{sum(int(row['flagged']) for row in of)} of {len(of)}"
+        lines.append(line)
+    return tabulate(lines, headers="keys", tablefmt="pipe", disable_numparse=True)
+
+
+def stored(path, rows):
+    """Return the rows of a file but for those of the same sets and seeds, and the new ones."""
+    runs = {(row["set"], str(row["seed"])) for row in rows}
+    old = list(csv.DictReader(path.open())) if path.exists() else []
+    return [row for row in old if (row["set"], row["seed"]) not in runs] + rows
+
+
+def main():
+    parser = Parser(description=__doc__.splitlines()[0])
+    parser.add_argument("--sets", nargs="+", choices=list(SETS), default=list(SETS))
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0], help="a train each")
+    parser.add_argument("--healthy", type=at_least(3), default=6, help="trips to commission on")
+    parser.add_argument("--worn", type=at_least(1), default=12, help="trips with a worn part")
+    parser.add_argument("--later", type=at_least(0), default=3, help="healthy trips after these")
+    parser.add_argument("--minutes", type=at_least(4, float), default=20.0, help="of a trip")
+    parser.add_argument("--output", type=Path, default=RESULTS, help="folder of the table")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    options.output.mkdir(parents=True, exist_ok=True)
+    path = options.output / "rough_train.csv"
+    for name in options.sets:
+        for seed in options.seeds:
+            with tempfile.TemporaryDirectory() as folder:
+                rows = stored(path, read(name, seed, options, Path(folder)))
+            with path.open("w", newline="") as file:
+                writer = csv.DictWriter(file, rows[-1])
+                writer.writeheader()
+                writer.writerows(rows)
+            print(table(rows), flush=True)
+
+
+if __name__ == "__main__":
+    main()
