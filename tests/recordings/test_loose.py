@@ -17,8 +17,8 @@ from suspnet.trains.recordings.recording import load_recording
 from suspnet.trains.simulation.fleet import Fleet, Scenario
 from suspnet.trains.simulation.writing import Simulation, write_fleet
 from suspnet.vehicle import VerticalVehicle
-from suspnet.vehicle.quantities import IN_MOTION
 
+ROLLING = ("bushings", "rubber", "guidance", "longitudinal", "bending", "roll")
 RATE = dict(zip(CHANNELS, RATES_HZ, strict=True))
 COMMON_HZ = 100.0
 KINDS = ("noise", "nearly constant", "hum", "traction hum", "loud noise")
@@ -160,7 +160,7 @@ def simulated(folder, seed=0, sides=None, vehicle=AM96, **options):
     if sides:
         places = (1.0, 1.0, 1.0)
         generator = VerticalVehicle(
-            vehicle, speed_m_per_s=speed, parts=IN_MOTION[:6], sensor_lateral_m=places
+            vehicle, speed_m_per_s=speed, parts=ROLLING, sensor_lateral_m=places
         )
     fleet = Fleet(sides=sides, **options)
     scenario = Scenario("random", spread=0.3)

@@ -20,9 +20,9 @@ from suspnet.trains.simulation.signals import steady_journey
 from suspnet.trains.simulation.true_vehicle import scattered
 from suspnet.trains.simulation.writing import profile_length_m, simulate_trip
 from suspnet.vehicle import VerticalVehicle
-from suspnet.vehicle.quantities import IN_MOTION
 from suspnet.vehicle.track import make_profile, track_spectrum
 
+ROLLING = ("bushings", "rubber", "guidance", "longitudinal", "bending", "roll")
 CONFIGS = Path(__file__).parents[2] / "configs"
 VEHICLES = sorted(path.stem for path in (CONFIGS / "vehicle").glob("*.yaml"))
 RATE_HZ, SECONDS, G = 100.0, 200.0, 9.80665
@@ -214,7 +214,7 @@ def checked_on_one_side(seed, order=(0, 1, 2), ratios=(1.0,) * 5, known=False, *
     Expected is the drawing's response, or that of the healthy vehicle itself if it is known.
     """
     drawing = VerticalVehicle(AM96)
-    rolling = replace(drawing, parts=IN_MOTION[:6], sensor_lateral_m=(1.0,) * 3)
+    rolling = replace(drawing, parts=ROLLING, sensor_lateral_m=(1.0,) * 3)
     rolling = scattered(rolling, 1.0, seed)
     frequencies_hz = torch.arange(0.1, RATE_HZ / 4, 0.05, dtype=torch.float64)
     worn = torch.tensor([ratios], dtype=torch.float64)
