@@ -309,7 +309,7 @@ class CurveFit(MethodFlags, BaseEstimator):  # type: ignore[misc]
         """Return, for each of several models, the parameters whose curves are nearest to a row's.
 
         The residual of each curve is divided by its rms, to which the noise is proportional. A
-        model is a `Forward`, whose curves have the shape of `observed` (n_rows, n_curves,
+        model is a ``Forward``, whose curves have the shape of `observed` (n_rows, n_curves,
         n_points), and its number of parameters; `known_parameters` is (n_rows, n_known), `lower`
         and `upper` are the range of the starts. Parameters stay within ``BEYOND`` times this range:
         one without effect on the curves would go to 0 or infinity. Models that a rough fit rules

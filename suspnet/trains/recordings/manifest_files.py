@@ -134,7 +134,7 @@ class ManifestFile:
 
 
 def read_manifest(path: str | Path) -> TripManifest:
-    """Return a checked manifest; TripError, as of `ManifestFile.trip`, if anything is wrong."""
+    """Return a checked manifest; TripError, as of ``ManifestFile.trip``, if anything is wrong."""
     return ManifestFile(Path(path)).trip
 
 
