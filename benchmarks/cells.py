@@ -1,6 +1,7 @@
 """Fit models in a process each, so that time and memory are their own: for the scripts here."""
 
 import argparse
+import csv
 import json
 import math
 import os
@@ -10,7 +11,7 @@ import subprocess
 import sys
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from statistics import median
 from typing import Any, NoReturn
@@ -24,6 +25,14 @@ LONG_S = 15.0
 """A fit that takes longer is not repeated."""
 PATIENCE = 10
 """A cell is ended when it takes this many times the limit in all."""
+
+
+def write_rows(path: Path, rows: Sequence[Row]) -> None:
+    """Write rows as CSV, with a column for each key of any row, in the order of appearance."""
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, dict.fromkeys(key for row in rows for key in row))
+        writer.writeheader()
+        writer.writerows(rows)
 
 
 class Parser(argparse.ArgumentParser):

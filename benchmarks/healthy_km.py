@@ -7,14 +7,13 @@ more of them, laden at random, and their estimates, drawn with replacement, make
 1,000,000 km. Alarms are those of `suspnet.trains.maintenance`. Writes healthy_km.csv.
 """
 
-import csv
 import tempfile
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import torch
-from cells import Parser, Row, at_least
+from cells import Parser, Row, at_least, write_rows
 from foreign_trains import CASES
 from mismatch import (
     RESULTS,
@@ -100,10 +99,7 @@ def main() -> None:
                 options.seed = seed
                 rows.append(case_row(options, name))
                 print(*rows[-1].values(), flush=True)
-                with (options.output / "healthy_km.csv").open("w", newline="") as file:
-                    writer = csv.DictWriter(file, rows[0])
-                    writer.writeheader()
-                    writer.writerows(rows)
+                write_rows(options.output / "healthy_km.csv", rows)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ both error and seconds at the same inputs and n, and writes maps.csv.
 """
 
 import argparse
-import csv
 import itertools
 import sys
 import tempfile
@@ -18,7 +17,7 @@ from pathlib import Path
 
 import joblib
 import numpy as np
-from cells import WARM_UP, Parser, Row, at_least, machine, measured, run_cell, serve
+from cells import WARM_UP, Parser, Row, at_least, machine, measured, run_cell, serve, write_rows
 from tabulate import tabulate
 
 ROOT = Path(__file__).parents[1]
@@ -116,10 +115,7 @@ def mark_front(rows: Sequence[Row]) -> None:
 
 def write(rows: Sequence[Row], output: Path) -> None:
     """Write the rows so far to maps.csv."""
-    with (output / "maps.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, dict.fromkeys(key for row in rows for key in row))
-        writer.writeheader()
-        writer.writerows(rows)
+    write_rows(output / "maps.csv", rows)
 
 
 def table(rows: Sequence[Row], outputs: Sequence[str]) -> str:

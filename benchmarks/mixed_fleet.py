@@ -9,7 +9,6 @@ severities are those of `suspnet.trains.maintenance`, which sees the trips in th
 Writes mixed_fleet.csv.
 """
 
-import csv
 import tempfile
 from collections.abc import Mapping
 from dataclasses import replace
@@ -17,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from cells import Parser, Row, at_least
+from cells import Parser, Row, at_least, write_rows
 from foreign_trains import SPEED, Case
 from mismatch import (
     RESULTS,
@@ -173,10 +172,7 @@ def main() -> None:
             for change in CHANGES:
                 rows.append(change_row(options, models, change, misfit))
                 print(*rows[-1].values(), flush=True)
-                with (options.output / "mixed_fleet.csv").open("w", newline="") as file:
-                    writer = csv.DictWriter(file, rows[0])
-                    writer.writeheader()
-                    writer.writerows(rows)
+                write_rows(options.output / "mixed_fleet.csv", rows)
 
 
 if __name__ == "__main__":

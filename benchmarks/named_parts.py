@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from cells import write_rows
 from tabulate import tabulate
 
 TESTS = Path(__file__).resolve().parents[1] / "tests"
@@ -396,10 +397,7 @@ def merged(rows, path):
                 r for r in csv.DictReader(file) if (r["case"], r["seed"], r["wear"]) not in new
             ]
     every = before + rows
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(every)
+    write_rows(path, every)
     return every
 
 

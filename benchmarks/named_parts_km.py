@@ -12,7 +12,7 @@ import csv
 from collections import Counter
 
 import numpy as np
-from cells import Parser, at_least
+from cells import Parser, at_least, write_rows
 from mixed_fleet import KM_PER_TRIP
 from named_parts import COMPONENTS, RESULTS, Z90, by_trip
 
@@ -76,10 +76,7 @@ def main():
     options = parser.parse_args()
     every = healthy_trips(RESULTS / "named_parts.csv")
     rows = [row_of(key, trips, options.histories) for key, trips in every.items()]
-    with (RESULTS / "named_parts_km.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0])
-        writer.writeheader()
-        writer.writerows(rows)
+    write_rows(RESULTS / "named_parts_km.csv", rows)
     for row in rows:
         print(*row.values())
 

@@ -21,14 +21,13 @@ service, after which that part alone is replaced at a visit of its own.
 Prints costs for 1,000,000 km of a part, in units of V, and writes plan.csv.
 """
 
-import csv
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import date, timedelta
 from pathlib import Path
 
 import numpy as np
-from cells import Parser, at_least
+from cells import Parser, at_least, write_rows
 from tabulate import tabulate
 from wear_histories import KINDS, PER_TRAIN, WearHistory, make_histories
 
@@ -277,10 +276,7 @@ def main() -> None:
         f"V = 1, costs for 1,000,000 km of a part; risk {options.risk:g}"
     )
     print(tabulate(rows, "keys", tablefmt="github", floatfmt=".4g"))
-    with (options.output / "plan.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0].keys())
-        writer.writeheader()
-        writer.writerows(rows)
+    write_rows(options.output / "plan.csv", rows)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from cells import Parser, at_least
+from cells import Parser, at_least, write_rows
 from foreign_trains import TESTS
 from named_parts import Z90
 from rich_effects import SETS
@@ -156,10 +156,7 @@ def main():
         for seed in options.seeds:
             with tempfile.TemporaryDirectory() as folder:
                 rows = stored(path, read(name, seed, options, Path(folder)))
-            with path.open("w", newline="") as file:
-                writer = csv.DictWriter(file, rows[-1])
-                writer.writeheader()
-                writer.writerows(rows)
+            write_rows(path, rows)
             print(table(rows), flush=True)
 
 

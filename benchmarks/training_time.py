@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from cells import Parser, machine
+from cells import Parser, machine, write_rows
 from foreign_trains import CASES, TESTS
 from hydra import compose, initialize_config_dir
 from rich_train_trips import write_train_trips
@@ -61,10 +61,7 @@ def main():
         with path.open(newline="") as file:
             old = [r for r in csv.DictReader(file) if (r["case"], r["seed"]) not in new]
         rows = sorted([*old, *rows], key=lambda r: (list(TIMED).index(r["case"]), int(r["seed"])))
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0])
-        writer.writeheader()
-        writer.writerows(rows)
+    write_rows(path, rows)
     print(tabulate([row.values() for row in rows], rows[0], tablefmt="github"))
 
 

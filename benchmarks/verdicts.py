@@ -5,13 +5,12 @@ on its healthy trips; then each parameter in turn is at each level for some trip
 else healthy, and the trips are judged as a report would, by the last of them.
 """
 
-import csv
 import tempfile
 from pathlib import Path
 
 import numpy as np
 import torch
-from cells import Parser, at_least
+from cells import Parser, at_least, write_rows
 from foreign_trains import SPEED, Case
 from mismatch import (
     RESULTS,
@@ -157,10 +156,7 @@ def main() -> None:
             rows += train_rows(options)
     print(summary(rows))
     options.output.mkdir(parents=True, exist_ok=True)
-    with (options.output / "verdicts.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0])
-        writer.writeheader()
-        writer.writerows(rows)
+    write_rows(options.output / "verdicts.csv", rows)
 
 
 if __name__ == "__main__":
