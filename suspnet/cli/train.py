@@ -241,6 +241,7 @@ def _commissioned(
         if by_part:
             raise ValueError(NO_PARTS)
         return None
+    # wrong settings are refused before minutes of reading
     settings, trips = _check_healthy(config), TripSettings()
     check_values(HealthySettings, n_healthy=config.n_healthy)
     generator = check_generator(build(config, "generator"))
@@ -254,6 +255,7 @@ def _commissioned(
         by_part=by_part,
         progress=config.progress,
     )
+    # the parts first: both sides as equal are then searched in their valley alone
     bogie = commission_parts(trips_read, trips) if by_part else None
     outcome = commission_trips(
         trips_read, generator, settings, bogie=bogie, progress=config.progress

@@ -106,6 +106,7 @@ def write_vehicle(name: str, paths: Sequence[Path], words: Sequence[str], force:
     path = (paths[0] if paths else FOLDER) / "vehicle" / f"{name}.yaml"
     if os.path.lexists(path) and not force:
         raise ValueError(f"{path} exists; --force replaces it")
+    # all that is missing is listed at once, with where to find it
     form = entries()
     values = _read(words, form)
     lacking = [entry for entry in form if entry.name not in values]
@@ -118,6 +119,7 @@ def write_vehicle(name: str, paths: Sequence[Path], words: Sequence[str], force:
         optional = [entry.name for entry in lacking if not entry.is_required]
         print(f"may be left out: {', '.join(optional)}")
         return 1
+    # what hardly matters is assumed, and said
     guessed = {
         key: round(share * float(values[of]), 3)
         for key, (of, share) in GUESSED.items()

@@ -290,8 +290,10 @@ def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) 
     if "device" in arguments:
         arguments["device"] = device
     estimator = estimator_type(**arguments)
+    # what has a name prefix is taken out; the rest is the method's own
     learnt = _taken(arrays, FEATURES)
     stored = {prefix: _taken(arrays, prefix) for prefix in CALIBRATED}
+    # JSON has lists where the descriptions, which are compared later, have tuples
     task = _with_tuples(content["task"])
     task["varied_sets"] = tuple(map(tuple, task["varied_sets"]))
     extractor = _with_tuples(task["extractor"])
