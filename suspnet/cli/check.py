@@ -130,12 +130,12 @@ def next_steps(
     train = [
         *(["--config-dir", arguments.config_dir] if arguments.config_dir else []),
         *(f"vehicle={option_of[vehicles.pop()]}", "experiment=trips"),
-        *(["protocol=components"] if shows_parts else []),
         *(["generator.frame_sensor=centre"] if at_centre else []),
         *(f"healthy={folder}", f"n_healthy={n_healthy}"),
-        *([f"data.minutes={minutes}"] if minutes != EstimateSettings.minutes else []),
-        *_speeds_beyond_healthy(ready_of, n_healthy),
     ]
+    if not shows_parts:  # a bogie is read at any speed, from trips of any length
+        train += [f"data.minutes={minutes}"] if minutes != EstimateSettings.minutes else []
+        train += _speeds_beyond_healthy(ready_of, n_healthy)
     return [
         f"{when}: {command('train', *train)}",
         f"  n_healthy={n_healthy}: the first {n_healthy} trips of each suspension by mileage are "

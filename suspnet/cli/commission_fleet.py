@@ -219,16 +219,11 @@ def own_log(file: Path) -> Iterator[BufferingHandler]:
 
 def _row(run: Run) -> dict[str, Any]:
     healthy = read_json(run.folder / "commissioning.json")
-    models = [read_json(file) for file in sorted(run.folder.rglob("model.json"))]
-    # every model of a run holds the same bogie
-    bogie = next((model["bogie"] for model in models if model.get("bogie")), None)
-    of_parts = {} if bogie is None else {"misfit_of_parts": bogie["misfit"]}
     return {
         "suspension": run.group.name,
         "place": asdict(run.group.place),
         "n_trips": healthy["n_trips"],
         "misfit": healthy["misfit"],
-        **of_parts,
         "explained": healthy["explained"],
         "rms_percent": run_errors(run.folder),
     }
@@ -236,14 +231,11 @@ def _row(run: Run) -> dict[str, Any]:
 
 def fleet_table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return misfit and rms errors of each suspension as Markdown."""
-    by_part = any("misfit_of_parts" in row for row in rows)
-    # with parts read, they are what counts; the others serve trips that do not show their parts
-    misfits = {"misfit_of_parts": "misfit of parts", "misfit": "sides as equal"}
-    columns = misfits if by_part else {"misfit": "misfit"}
-    head = ["suspension", "trips", *columns.values(), *rows[0]["rms_percent"]]
+    outputs = dict.fromkeys(name for row in rows for name in row["rms_percent"])
+    head = ["suspension", "trips", "misfit", *outputs]
     body = [
-        [row["suspension"], row["n_trips"], *map(row.get, columns), *row["rms_percent"].values()]
+        [row["suspension"], row["n_trips"], row["misfit"], *map(row["rms_percent"].get, outputs)]
         for row in rows
     ]
-    formats = ("", "", *[".2f"] * len(columns), *[".2g"] * len(rows[0]["rms_percent"]))
+    formats = ("", "", ".2f", *[".2g"] * len(outputs))
     return tabulate(body, head, tablefmt="github", floatfmt=formats)

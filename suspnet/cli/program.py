@@ -46,7 +46,6 @@ WITH_OPTIONS = ("check", "history", "init")
 POOLS = {
     "evaluate": ("suspnet.trains.jobs.fleet", "monitor.workers", "trips"),
     "simulate": ("suspnet.trains.simulation.writing", "workers", "out"),
-    "train": ("suspnet.cli.train", "workers", "healthy"),
 }
 """Programs with worker processes: the module that these need, the key of their number, and the key
 that is not null where they have work."""
@@ -61,6 +60,9 @@ PASSWORD = re.compile(r"(?<=://)([^:/@]*):([^@]*)@|(?<=[?&])password=([^&'\"]*)&
 REMOVED = {
     re.compile(r"'(?:\w+/)?(ablation|layouts|reliability)"): (
         "is a script of the sources now: python benchmarks/{0}.py --help"
+    ),
+    re.compile(r"'(protocol/components)'"): (
+        "is gone: leave it out, as each part is read wherever healthy trips show it"
     ),
     re.compile(r"(plan\.(?:visit|costs|step_days|plan_again_risk))\b"): (
         "is gone: plan.risk, bundle_days and reach_km set what is done when"
@@ -146,8 +148,6 @@ def _serve_workers(name: str, config: DictConfig) -> None:
     """Let another process import what workers need, while this one imports the program."""
     module, number, work = POOLS.get(name, ("", "", ""))
     n_workers = OmegaConf.select(config, number) if OmegaConf.select(config, work) else None
-    if name == "train" and not OmegaConf.select(config, "protocol.by_part"):
-        return  # most often a single suspension, whose commissioning needs no second process
     if isinstance(n_workers, int):  # null depends on the number of trips
         fork_from_server(module, n_workers)
 

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
@@ -27,7 +28,7 @@ from suspnet.cli.kinds import build
 from suspnet.curves.estimates import SPEED_HALF_WIDTH, WIDE_SPEED_HALF_WIDTH, EstimateSettings
 from suspnet.curves.problem import Problem
 from suspnet.curves.speeds import SpeedRange, covering, setting_words
-from suspnet.estimation.commissioned_bogie import CommissionedBogie
+from suspnet.estimation.bogie_model import BogieModel
 from suspnet.estimation.flags import Residual
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
@@ -41,7 +42,12 @@ from suspnet.runs.scores import Metrics
 from suspnet.runs.train import RunContext, speed_ranges, train, train_ranges
 from suspnet.runs.tube import write_tube
 from suspnet.trains.identification.healthy_trips import read_healthy
-from suspnet.trains.jobs.commissioning import check_generator, commission_parts, commission_trips
+from suspnet.trains.jobs.commissioning import (
+    check_generator,
+    commission_parts,
+    commission_trips,
+    write_bogie_model,
+)
 from suspnet.trains.pages.commissioning_page import training_notes, write_outcome
 from suspnet.trains.recordings.manifest_files import ManifestFile
 from suspnet.vehicle import ResponseGenerator, VerticalVehicle
@@ -52,9 +58,6 @@ NO_SPEED = (
     "with a vehicle of known geometry; give one speed_m_per_s"
 )
 NO_HEALTHY = "speed_m_per_s=null is for healthy=DIR, whose trips show the speeds; give a speed"
-NO_PARTS = (
-    "each part is read relative to that of healthy trips: give healthy=DIR, or take protocol=trips"
-)
 BOTH = "both"
 """Setting `direction` of models for trips of either direction of travel."""
 NO_DIRECTION = (
@@ -115,10 +118,13 @@ def _run(
     varies; `draw`: whether to draw figures of the vehicle.
     """
     # refuse wrong settings before minutes of healthy trips and curves
-    protocol = build(config, "protocol")
-    protocol.task(config.group)
+    build(config, "protocol").task(config.group)
     check_hyperparameters(build(config, "model"))
-    healthy = _commissioned(_at_a_speed(config), folder, paths, protocol.by_part)
+    healthy = _commissioned(_at_a_speed(config), folder, paths)
+    if isinstance(healthy, BogieModel):
+        program.save_config(config, folder)
+        write_bogie_model(folder, healthy)
+        return
     # speeds and directions are those asked for, else those of the healthy trips
     speeds = config.speed_m_per_s
     if speeds is None:
@@ -222,7 +228,6 @@ class _Healthy:
     residual: Residual | None
     speeds_m_per_s: tuple[float, ...]
     directions: tuple[Direction, ...]
-    bogie: CommissionedBogie | None = None
 
 
 def _check_healthy(config: DictConfig) -> EstimateSettings:
@@ -234,42 +239,42 @@ def _check_healthy(config: DictConfig) -> EstimateSettings:
 
 
 def _commissioned(
-    config: DictConfig, folder: Path, paths: Sequence[ManifestFile] | None, by_part: bool
-) -> _Healthy | None:
-    """Return the vehicle that healthy trips show; None without a folder of them."""
+    config: DictConfig, folder: Path, paths: Sequence[ManifestFile] | None
+) -> _Healthy | BogieModel | None:
+    """Return the vehicle that healthy trips show; None without a folder of them.
+
+    Where their sensors show each part, it is the model that reads them.
+    """
     if config.healthy is None:
-        if by_part:
-            raise ValueError(NO_PARTS)
         return None
     # wrong settings are refused before minutes of reading
     settings, trips = _check_healthy(config), TripSettings()
     check_values(HealthySettings, n_healthy=config.n_healthy)
     generator = check_generator(build(config, "generator"))
-    trips_read = read_healthy(
+    settings = settings.bound(generator.vehicle)
+    healthy = read_healthy(
         Path(config.healthy),
         generator,
-        settings.bound(generator.vehicle),
+        settings,
         trips,
         paths=paths,
         n_first=config.n_healthy,
-        by_part=by_part,
         progress=config.progress,
     )
-    # the parts first: both sides as equal are then searched in their valley alone
-    bogie = commission_parts(trips_read, trips) if by_part else None
-    outcome = commission_trips(
-        trips_read, generator, settings, bogie=bogie, progress=config.progress
-    )
+    bogie = None if healthy.vehicle is None else commission_parts(healthy, trips)
+    outcome = commission_trips(healthy, generator, settings, bogie=bogie, progress=config.progress)
     with speaking(config.language):
-        write_outcome(folder, trips_read, outcome, bogie)
-    notes = training_notes(trips_read, outcome)
+        write_outcome(folder, healthy, outcome, bogie)
+    notes = training_notes(healthy, outcome)
+    if bogie is not None:
+        usual = replace(outcome.generator, speed_m_per_s=median(healthy.speeds_m_per_s))
+        return BogieModel(bogie, usual, settings, {"commissioned": notes})
     return _Healthy(
         outcome.generator,
         notes,
         outcome.residual,
-        trips_read.speeds_m_per_s,
-        trips_read.directions,
-        bogie,
+        healthy.speeds_m_per_s,
+        healthy.directions,
     )
 
 
@@ -319,6 +324,5 @@ def _train(
             draw_vehicle=draw,
             notes={"commissioned": healthy.notes} if healthy else {},
             residual=healthy.residual if healthy else None,
-            bogie=healthy.bogie if healthy else None,
         ),
     )

@@ -333,11 +333,6 @@ class Protocol:
         "Whether inputs and outputs are scaled to mean 0 and deviation 1, or are relative changes "
         "as they are",
     )
-    by_part: bool = setting(
-        False,
-        "Whether each spring and damper of a bogie is read on trips with a sensor left and right "
-        "at axle box, frame and body; needs healthy=DIR",
-    )
     feature_set: str = setting(
         "peaks",
         "Inputs of the model: position, height and width of peaks, or principal components of "

@@ -18,10 +18,12 @@ from suspnet.curves.components import FEATURE_SETS
 from suspnet.curves.estimates import OBSERVATIONS
 from suspnet.curves.problem import Problem
 from suspnet.curves.protocols import Task
+from suspnet.estimation.bogie_model import BOGIE, BogieModel
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
-from suspnet.estimation.fitted import ModelFileError
+from suspnet.estimation.fitted import Model, ModelFileError
 from suspnet.estimation.flags import OODDetector, Unexplained
 from suspnet.estimation.intervals import Intervals
+from suspnet.estimation.temperature import NOTE, DampingByTemperature
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.validity import check_arrays, check_model, check_numbers, check_same
 from suspnet.ground.storage import (
@@ -40,7 +42,7 @@ from suspnet.ground.types import FloatArray
 from suspnet.learning import METHODS, Scaling
 from suspnet.vehicle import GENERATORS, SpatialVehicle, Vehicle
 
-SCHEMA_VERSION = 9
+SCHEMA_VERSION = 10
 OLDEST_SCHEMA = 8
 """Oldest version of model.json that is read: `_migrated` adds what later ones have."""
 FEATURES = "features."
@@ -71,7 +73,7 @@ UNITS = {
 }
 
 
-def save_model(folder: Path | str, model: TrainedModel) -> None:
+def save_model(folder: Path | str, model: Model) -> None:
     """Write model.safetensors, then model.json, each atomically, with the folder locked.
 
     Raises
@@ -83,16 +85,17 @@ def save_model(folder: Path | str, model: TrainedModel) -> None:
     OSError
         If the folder cannot be written.
     """
-    if not isinstance(model, TrainedModel):
+    if not isinstance(model, TrainedModel | BogieModel):
         raise TypeError(
-            f"`model`, the second argument, must be a TrainedModel, got {type(model).__name__}; an "
-            "estimator such as MSVR is saved by joblib.dump"
+            "`model`, the second argument, must be a TrainedModel or BogieModel, got "
+            f"{type(model).__name__}; an estimator such as MSVR is saved by joblib.dump"
         )
-    check_restores(model)
+    if isinstance(model, TrainedModel):
+        check_restores(model)
     write_model(Path(folder), model)
 
 
-def write_model(folder: Path, model: TrainedModel) -> None:
+def write_model(folder: Path, model: Model) -> None:
     """Write a model as `save_model` does, one that is known to be restored."""
     content, description = _files(model)
     with locked(folder):
@@ -134,6 +137,7 @@ def check_restores(model: TrainedModel) -> None:
         content, description = _files(model)
         del description["description_sha256"]
         loaded = _checked(description, load_arrays(content, "its state"), "cpu")
+        assert isinstance(loaded, TrainedModel)
         difference = np.abs(loaded.regressed(rows) - expected).max()
     except NOT_A_MODEL as error:
         raise ValueError(
@@ -147,50 +151,63 @@ def check_restores(model: TrainedModel) -> None:
         )
 
 
-def fingerprint(model: TrainedModel) -> str:
+def fingerprint(model: Model) -> str:
     """Return a hash of the full content of a model's files."""
     return str(_files(model)[1]["description_sha256"])
 
 
-def _files(model: TrainedModel) -> tuple[bytes, dict[str, Any]]:
+def _files(model: Model) -> tuple[bytes, dict[str, Any]]:
+    content = dump_arrays(_arrays(model) if isinstance(model, TrainedModel) else {})
+    description = _described(model) | {"arrays_sha256": hashlib.sha256(content).hexdigest()}
+    description["description_sha256"] = content_hash(description)
+    return content, description
+
+
+def _arrays(model: TrainedModel) -> dict[str, Any]:
     arrays = dict(model.estimator.state())
     parts = {FEATURES: model.task.extractor}
     parts |= {prefix: getattr(model, name) for prefix, (name, _) in CALIBRATED.items()}
     for prefix, part in parts.items():
         if part is not None:
             arrays |= {prefix + name: array for name, array in part.state().items()}
-    content = dump_arrays(arrays)
-    description = _described(model) | {"arrays_sha256": hashlib.sha256(content).hexdigest()}
-    description["description_sha256"] = content_hash(description)
-    return content, description
+    return arrays
 
 
-def _described(model: TrainedModel) -> dict[str, Any]:
+def _described(model: Model) -> dict[str, Any]:
     """Return a model's description as JSON-able values, without the hashes of its files."""
     description = {
         "schema_version": SCHEMA_VERSION,
         "suspnet_version": __version__,
         "model": model.name,
-        "parameters": parameters(model.estimator),
-        "inputs": _scaling_json(model.task.inputs, model.input_scaling),
-        "outputs": _scaling_json(model.task.outputs, model.output_scaling),
-        "units": UNITS,
-        "healthy_features": model.healthy_features,
         "generator": _tagged(model.generator, GENERATORS),
-        "task": model.task.describe(),
         "settings": _tagged(model.settings, OBSERVATIONS),
-        "corrected": model.corrected,
-        "refined": model.refined,
         "training": model.training,
-        "bogie": model.bogie and _bogie_json(model.bogie),
     }
+    if isinstance(model, BogieModel):
+        description |= {"bogie": _bogie_json(model.bogie)}
+    else:
+        assert isinstance(model, TrainedModel)
+        description |= _method_json(model)
     plain: dict[str, Any] = json.loads(json.dumps(description, default=lambda a: a.tolist()))
     if model.vehicle.limits is None:
         del plain["generator"]["vehicle"]["limits"]  # earlier models have no such entry
     return plain
 
 
-def load_model(folder: Path | str, device: str = "cpu") -> TrainedModel:
+def _method_json(model: TrainedModel) -> dict[str, Any]:
+    return {
+        "parameters": parameters(model.estimator),
+        "inputs": _scaling_json(model.task.inputs, model.input_scaling),
+        "outputs": _scaling_json(model.task.outputs, model.output_scaling),
+        "units": UNITS,
+        "healthy_features": model.healthy_features,
+        "task": model.task.describe(),
+        "corrected": model.corrected,
+        "refined": model.refined,
+    }
+
+
+def load_model(folder: Path | str, device: str = "cpu") -> TrainedModel | BogieModel:
     """Return the model that `save_model` wrote to a folder.
 
     Raises
@@ -209,7 +226,8 @@ def load_model(folder: Path | str, device: str = "cpu") -> TrainedModel:
         content = read_json(path)
         _check_description(path, content)
         arrays = read_arrays(folder / "model.safetensors", content["arrays_sha256"])
-        return _checked(_migrated(content), arrays, device)
+        content = _migrated(content)
+        return _checked(content, {} if content["model"] == BOGIE else arrays, device)
     except ModelFileError:
         raise
     except DamagedFileError as error:
@@ -222,7 +240,9 @@ def load_model(folder: Path | str, device: str = "cpu") -> TrainedModel:
         raise ModelFileError(f"{path} is not a suspnet model: {error!r}") from error
 
 
-def _checked(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) -> TrainedModel:
+def _checked(
+    content: dict[str, Any], arrays: dict[str, FloatArray], device: str
+) -> TrainedModel | BogieModel:
     check_numbers(content)
     check_arrays(arrays)
     with warnings.catch_warnings():
@@ -230,9 +250,11 @@ def _checked(content: dict[str, Any], arrays: dict[str, FloatArray], device: str
         model = _build(content, dict(arrays), device)
         check_model(model)
         built = _described(model)
+    # what depends on the machine, not on the model
     for part, key in (("parameters", "device"), ("generator", "device"), ("settings", "cache_dir")):
-        built[part][key] = content[part].get(key)  # depends on the machine, not on the model
-    if model.bogie is not None:
+        if part in built:
+            built[part][key] = content[part].get(key)
+    if isinstance(model, BogieModel):
         built["bogie"]["generator"]["device"] = content["bogie"]["generator"].get("device")
     described = {key: value for key, value in content.items() if key not in NOT_OF_THE_MODEL}
     check_same(described, built)
@@ -255,7 +277,7 @@ def _check_description(path: Path, content: Any) -> None:
     claimed = content.pop("description_sha256", None)
     if claimed != content_hash(content):
         raise ModelFileError(f"{path} is damaged or was altered: its hash does not match")
-    if content["model"] not in METHODS:
+    if content["model"] not in (*METHODS, BOGIE):
         raise ModelFileError(
             f"{path}: unknown model {content['model']!r}; {OWN.format('register_method')}"
         )
@@ -268,9 +290,24 @@ def _check_description(path: Path, content: Any) -> None:
 
 
 def _migrated(content: dict[str, Any]) -> dict[str, Any]:
-    """Return the content of model.json of any version that is read as one of this version."""
-    if content["schema_version"] == SCHEMA_VERSION:
+    """Return the content of model.json of any version that is read as one of this version.
+
+    Until version 9 a bogie lay beside a fitted method, which is not needed.
+    """
+    version = content["schema_version"]
+    if version == SCHEMA_VERSION:
         return content
+    content = content | {"schema_version": SCHEMA_VERSION}
+    bogie = content.pop("bogie", None)
+    if bogie is not None:
+        law = content["training"].get("commissioned", {}).get(NOTE)
+        kept = ("schema_version", "suspnet_version", "generator", "settings", "training")
+        own = {key: content[key] for key in (*kept, "arrays_sha256")}
+        return own | {"model": BOGIE, "bogie": bogie | {"law": law}}
+    return _of_version_9(content) if version < 9 else content
+
+
+def _of_version_9(content: dict[str, Any]) -> dict[str, Any]:
     task = dict(content["task"])
     task |= {"varied_sets": [task.pop("varied")], "test_sampling": task["sampling"]}
     task |= {"standardised": True}
@@ -280,11 +317,21 @@ def _migrated(content: dict[str, Any]) -> dict[str, Any]:
     parameters = dict(content["parameters"])
     if content["model"] == "msvr":
         parameters |= {"solver": "newton"}
-    changed = {"task": task, "settings": settings, "parameters": parameters}
-    return content | changed | {"schema_version": SCHEMA_VERSION}
+    return content | {"task": task, "settings": settings, "parameters": parameters}
 
 
-def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) -> TrainedModel:
+def _build(
+    content: dict[str, Any], arrays: dict[str, FloatArray], device: str
+) -> TrainedModel | BogieModel:
+    generator = dict(content["generator"])
+    generator |= {"vehicle": Vehicle(**generator["vehicle"]), "device": device}
+    of_any: dict[str, Any] = {
+        "generator": _untagged(generator, GENERATORS),
+        "settings": _untagged(_without_folder(content["settings"]), OBSERVATIONS),
+        "training": content["training"],
+    }
+    if content["model"] == BOGIE:
+        return BogieModel(_bogie(content["bogie"], device), **of_any)
     estimator_type = METHODS[content["model"]]
     arguments = dict(content["parameters"])
     if "device" in arguments:
@@ -305,27 +352,22 @@ def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) 
                 estimator.n_features_in_ = len(content["inputs"]["names"])
         if learnt:
             feature_set = feature_set.restored(learnt)
-        calibrated = {
+        calibrated: dict[str, Any] = {
             name: kind.restored(stored[prefix]) if stored[prefix] else None
             for prefix, (name, kind) in CALIBRATED.items()
         }
     except ValueError as error:
         raise ModelFileError(f"the model's arrays do not fit together: {error}") from error
-    generator = dict(content["generator"])
-    generator |= {"vehicle": Vehicle(**generator["vehicle"]), "device": device}
     return TrainedModel(
         name=content["model"],
         estimator=estimator,
         task=Task(**task | {"extractor": feature_set}),
-        generator=_untagged(generator, GENERATORS),
-        settings=_untagged(_without_folder(content["settings"]), OBSERVATIONS),
         healthy_features=np.array(content["healthy_features"]),
         input_scaling=_scaling(content["inputs"]),
         output_scaling=_scaling(content["outputs"]),
         corrected=content["corrected"],
         refined=content["refined"],
-        training=content["training"],
-        bogie=_bogie(content["bogie"], device),
+        **of_any,
         **calibrated,
     )
 
@@ -360,12 +402,16 @@ def _with_tuples(content: Mapping[str, Any]) -> dict[str, Any]:
 def _bogie_json(bogie: CommissionedBogie) -> dict[str, Any]:
     """Return what asdict would but for tensors, which it keeps whole."""
     others = {name: getattr(bogie, name) for name in ("masses", "misfit", "converged")}
-    return others | {"generator": asdict(bogie.generator), "noise": bogie.noise.numpy()}
+    law = bogie.law and asdict(bogie.law)
+    return others | {
+        "generator": asdict(bogie.generator),
+        "noise": bogie.noise.numpy(),
+        "law": law,
+    }
 
 
-def _bogie(content: dict[str, Any] | None, device: str) -> CommissionedBogie | None:
-    if content is None:
-        return None
+def _bogie(content: dict[str, Any], device: str) -> CommissionedBogie:
+    law = content["law"]
     generator = _with_tuples(content["generator"])
     generator |= {"vehicle": Vehicle(**generator["vehicle"]), "device": device}
     return CommissionedBogie(
@@ -374,6 +420,7 @@ def _bogie(content: dict[str, Any] | None, device: str) -> CommissionedBogie | N
         np.array(content["masses"], dtype=np.float64),
         content["misfit"],
         content["converged"],
+        None if law is None else DampingByTemperature(**law),
     )
 
 

@@ -8,6 +8,7 @@ from functools import cached_property
 from torch import Tensor
 
 from suspnet.estimation.estimate import HealthyValues
+from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import ShortRepr
@@ -20,7 +21,8 @@ class CommissionedBogie(ShortRepr):
 
     `generator` has the posterior of its numbers as its distribution, `noise` (n_sensors,)
     [(m/s^2)^2/Hz] is that of its sensors, `misfit` the rms of the residuals over that of the noise,
-    `masses` [-] the car-body mass of each trip over nominal.
+    `masses` [-] the car-body mass of each trip over nominal. `law` is how its damping depends on
+    the temperature, None if that of no healthy trip is known.
     """
 
     generator: SpatialVehicle
@@ -28,6 +30,7 @@ class CommissionedBogie(ShortRepr):
     masses: FloatArray
     misfit: float
     converged: bool
+    law: DampingByTemperature | None = None
 
     @cached_property
     def healthy(self) -> HealthyValues:

@@ -1,4 +1,4 @@
-"""A fitted method with everything needed to use it: task, scaling, generator, calibration."""
+"""A model, and a fitted method with all it needs: task, scaling, generator, calibration."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from torch import Tensor
 
 from suspnet.curves.estimates import Observation, Observer
 from suspnet.curves.protocols import Task
-from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.estimate import Flags, HealthyValues
 from suspnet.estimation.flags import OODDetector, Unexplained
 from suspnet.estimation.intervals import Intervals
 from suspnet.estimation.refine import Refined
+from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.learning import Scaling
 from suspnet.learning.metrics import check_estimates
@@ -27,8 +27,49 @@ class ModelFileError(ValueError):
     """A model file is damaged, foreign or of a different kind than needed."""
 
 
+class Model:
+    """What a run folder holds to estimate with: a `FittedMethod`, or a `BogieModel` of parts.
+
+    Attributes
+    ----------
+    name : str
+        A key of ``suspnet.learning.METHODS``, or "bogie".
+    generator : ResponseGenerator
+        The vehicle, both sides and axles as equal.
+    settings : Observation
+        How curves are observed; of models that read trips an ``EstimateSettings``.
+    training : dict
+        Record of the training or commissioning.
+    """
+
+    name: str
+    generator: ResponseGenerator
+    settings: Observation
+    training: dict[str, Any]
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The healthy vehicle."""
+        return self.generator.vehicle
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """What is estimated."""
+        return self.healthy.names
+
+    @cached_property
+    def healthy(self) -> HealthyValues:
+        """Values of the healthy vehicle in SI units, which estimates are relative to."""
+        raise NotImplementedError
+
+    @property
+    def law(self) -> DampingByTemperature | None:
+        """How damping depends on the temperature; None if unknown."""
+        return DampingByTemperature.noted(self.training)
+
+
 @dataclass(frozen=True)
-class FittedMethod:
+class FittedMethod(Model):
     """A fitted method with everything needed to use it.
 
     Attributes
@@ -58,8 +99,6 @@ class FittedMethod:
         Unexplained residual of a commissioned vehicle's healthy trips; None for a nominal vehicle.
     training : dict
         Record of the training.
-    bogie : CommissionedBogie or None
-        The bogie of which each part is read on trips with its sensors; None: of none.
     """
 
     name: str
@@ -76,12 +115,6 @@ class FittedMethod:
     ood: OODDetector | None = None
     unexplained: Unexplained | None = None
     training: dict[str, Any] = field(default_factory=dict)
-    bogie: CommissionedBogie | None = None
-
-    @property
-    def vehicle(self) -> Vehicle:
-        """The healthy vehicle."""
-        return self.generator.vehicle
 
     @cached_property
     def observer(self) -> Observer:
@@ -93,15 +126,15 @@ class FittedMethod:
         """Whether residuals are those of logarithms."""
         return self.output_scaling is None or self.output_scaling.log
 
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """What is estimated."""
+        return self.task.outputs
+
     @cached_property
     def healthy(self) -> HealthyValues:
         """Values of the healthy vehicle in SI units, which estimates are relative to."""
         return HealthyValues.of(self.generator, self.task.outputs)
-
-    @property
-    def references(self) -> tuple[HealthyValues, ...]:
-        """Healthy values that a trip may refer to: those of the parameters, and of the parts."""
-        return self.healthy, *([] if self.bogie is None else [self.bogie.healthy])
 
     def features(self, curves: Tensor, frequencies_hz: Tensor) -> tuple[FloatArray, IntArray]:
         """Return features of curves relative to the healthy vehicle's, and why some are missing.

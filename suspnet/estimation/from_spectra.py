@@ -38,7 +38,7 @@ from suspnet.curves.estimate_observer import EstimateObserver
 from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.speeds import NoEstimateError, Speeds
 from suspnet.estimation.estimate import Estimate, Flags
-from suspnet.estimation.fitted import FittedMethod, ModelFileError
+from suspnet.estimation.fitted import FittedMethod, Model, ModelFileError
 from suspnet.estimation.flags import with_doubt
 from suspnet.estimation.from_curves import ONE_SIGMA, corrected, residual_scales
 from suspnet.estimation.intervals import COMMON, LARGEST_MISFIT
@@ -175,13 +175,12 @@ def unworn_deviations(
     return np.asarray(np.log1p(shares * np.abs(1 - ratios) / ratios))
 
 
-def trip_settings(method: FittedMethod) -> EstimateSettings:
-    """Return the estimate settings of a method trained on trips; ModelFileError otherwise."""
-    if not isinstance(method.settings, EstimateSettings):
-        raise ModelFileError(
-            Finding("model-of-other-protocol", protocol=repr(method.task.protocol))
-        )
-    return method.settings
+def trip_settings(model: Model) -> EstimateSettings:
+    """Return the estimate settings of a model of trips; ModelFileError otherwise."""
+    if not isinstance(model.settings, EstimateSettings):
+        assert isinstance(model, FittedMethod)
+        raise ModelFileError(Finding("model-of-other-protocol", protocol=repr(model.task.protocol)))
+    return model.settings
 
 
 def trip_observer(method: FittedMethod) -> EstimateObserver:

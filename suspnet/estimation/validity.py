@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.problem import Problem
-from suspnet.estimation.commissioned_bogie import CommissionedBogie
+from suspnet.estimation.bogie_model import BogieModel
 from suspnet.estimation.relative_velocity import DampingByVelocity
 from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.estimation.trained import TrainedModel
@@ -21,6 +22,7 @@ from suspnet.ground.records import Place
 from suspnet.ground.settings import LARGEST, check_flag, check_number
 from suspnet.ground.types import FloatArray
 from suspnet.learning import Scaling
+from suspnet.vehicle import VerticalVehicle
 
 MAY_BE_INFINITE = ("ood.thresholds",)
 """Arrays in which infinity means that there is no threshold."""
@@ -59,8 +61,17 @@ def check_arrays(arrays: Mapping[str, FloatArray]) -> None:
             raise ValueError(f"array {name!r} holds numbers that are not finite, or too large")
 
 
-def check_model(model: TrainedModel) -> None:
+def check_model(model: TrainedModel | BogieModel) -> None:
     """Raise TypeError or ValueError unless the parts of a model are consistent and it estimates."""
+    _check_training(model.training)
+    if isinstance(model, BogieModel):
+        _check_bogie(model)
+    else:
+        _check_method(model)
+
+
+def _check_method(model: TrainedModel) -> None:
+    check_number("training.seed", model.training["seed"], low=0, whole=True)
     task = model.task
     n_inputs, n_outputs = len(task.inputs), len(task.outputs)
     _check_healthy(model)
@@ -80,9 +91,6 @@ def check_model(model: TrainedModel) -> None:
     if not on_curves:
         _check_estimator(model, n_inputs, n_outputs)
     _check_calibration(model, n_inputs, n_outputs)
-    _check_training(model.training)
-    if model.bogie is not None:
-        _check_bogie(model.bogie, model)
 
 
 def _check_vector(name: str, values: FloatArray, size: int) -> None:
@@ -150,7 +158,12 @@ def _check_calibration(model: TrainedModel, n_inputs: int, n_outputs: int) -> No
         _check_vector("physics.costs", model.unexplained.costs, n_outputs)
 
 
-def _check_bogie(bogie: CommissionedBogie, model: TrainedModel) -> None:
+def _check_bogie(model: BogieModel) -> None:
+    bogie = model.bogie
+    if not isinstance(model.generator, VerticalVehicle):
+        raise ValueError("`generator` of a bogie must be a vertical vehicle")
+    if not isinstance(model.settings, EstimateSettings):
+        raise ValueError("`settings` of a bogie must be those of trips")
     assert bogie.generator.sensors is not None
     if bogie.generator.vehicle != model.vehicle:
         raise ValueError("`bogie.generator.vehicle` must be the model's vehicle")
@@ -166,7 +179,6 @@ def _check_bogie(bogie: CommissionedBogie, model: TrainedModel) -> None:
 
 
 def _check_training(training: Any) -> None:
-    check_number("training.seed", training["seed"], low=0, whole=True)
     check_number("training.n_train", training.get("n_train", 0), low=0, whole=True)
     if not isinstance(training.get("parameters", {}), dict):
         raise TypeError("`training.parameters` must be a mapping")

@@ -8,6 +8,7 @@ from pathlib import Path
 from suspnet.curves.problem import TEST, Problem
 from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.fitted import FittedMethod
+from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.progress import stage
 from suspnet.ground.storage import write_json
 from suspnet.runs.predict import predict_stream
@@ -59,6 +60,10 @@ def evaluate(
 ) -> Metrics:
     """Score the model in `folder` on fresh curves; write metrics and figures to `output`."""
     model = load_model(folder, device)
+    if not isinstance(model, TrainedModel):
+        raise ValueError(
+            f"{folder} holds a commissioned bogie, which curves do not test: give trips=DIR"
+        )
     problem = fresh.problem(model, folder)
     stage(f"test of {folder}")
     outcome = predict_stream(problem, model, TEST, flags=True)

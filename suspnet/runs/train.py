@@ -25,7 +25,6 @@ from tabulate import tabulate
 from suspnet.curves.problem import TEST, Problem
 from suspnet.curves.speeds import SpeedRange
 from suspnet.estimation.checkpoint import check_restores, check_saveable, write_model
-from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.flags import Residual
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground import ledger
@@ -65,7 +64,7 @@ class RunContext:
     metrics.json. `varied` is what a multirun varies, by configuration key: TensorBoard's first
     columns. `draw_vehicle`: once is enough in a multirun. `notes` are further entries of the
     model's `training`, such as the healthy trips as "commissioned"; `residual` is the unexplained
-    part of a commissioned vehicle's healthy trips, `bogie` its bogie if each part is to be read.
+    part of a commissioned vehicle's healthy trips.
     """
 
     config: Mapping[str, Any] = field(default_factory=dict)
@@ -73,7 +72,6 @@ class RunContext:
     draw_vehicle: bool = True
     notes: Mapping[str, Any] = field(default_factory=dict)
     residual: Residual | None = None
-    bogie: CommissionedBogie | None = None
 
 
 def train(
@@ -150,7 +148,7 @@ def train(
         model.training.update(search_notes)
         model = _trusted(problem, model, context)
         stage("test")
-        model = replace(model, training=model.training | dict(context.notes), bogie=context.bogie)
+        model = replace(model, training=model.training | dict(context.notes))
         outcome = predict_stream(problem, model, TEST)
         metrics = _metrics(problem, model, outcome, search_result, context)
         # the accuracy goes into the model's file for those who have no run folder
@@ -176,7 +174,7 @@ def _trusted(problem: Problem, model: TrainedModel, context: RunContext) -> Trai
         return model
     model = with_unexplained(problem, model, context.residual)
     assert model.unexplained is not None
-    if model.unexplained.is_incomplete and context.bogie is None:  # trips are read by their parts
+    if model.unexplained.is_incomplete:
         costs = ", ".join(f"{name} {value:.2g} %" for name, value in _cost_percent(model).items())
         log.warning(
             "the physics is incomplete: %s. The interval of every estimate is wider by a standard "

@@ -10,7 +10,7 @@ from typing import Any
 
 from suspnet.depot.live.source import ResultKind
 from suspnet.depot.live.suspension import LiveSuspension, SectionEstimate
-from suspnet.estimation.trained import TrainedModel
+from suspnet.estimation.fitted import Model
 from suspnet.ground.findings import as_plain, together
 from suspnet.ground.parameters import Severity
 from suspnet.ground.records import ERROR, OK, TripResult, sensors_from_text
@@ -60,7 +60,7 @@ class Results:
         remark = result.reason or result.flags
         log.info("%s %s%s", suspension.name, summary(estimate), remark and f": {remark}")
 
-    def _stored(self, result: TripResult, models: Sequence[TrainedModel]) -> list[Alarm]:
+    def _stored(self, result: TripResult, models: Sequence[Model]) -> list[Alarm]:
         """Store a trip and return the suspension's alarms; wait while the store is unavailable."""
         limits = self._settings.limits_of(models)
         while True:  # ends: when the store is available, or with the process

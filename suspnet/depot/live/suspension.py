@@ -14,7 +14,7 @@ import numpy as np
 from suspnet.depot.live.journal import dump_state, load_state
 from suspnet.depot.live.operating_conditions import SlowValues
 from suspnet.depot.live.sections import LiveSettings, Sections
-from suspnet.estimation.trained import TrainedModel
+from suspnet.estimation.fitted import Model
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.findings import at
 from suspnet.ground.records import TripResult
@@ -69,7 +69,7 @@ class EstimateJob:
     section: Running
     manifest: TripManifest
     frames: dict[str, int]
-    models: Sequence[TrainedModel]
+    models: Sequence[Model]
     trips: TripSettings
 
     def make(self) -> SectionEstimate:
@@ -96,7 +96,7 @@ class LiveSuspension:
     def __init__(
         self,
         manifest: TripManifest,
-        models: Sequence[TrainedModel],
+        models: Sequence[Model],
         trips: TripSettings,
         settings: LiveSettings,
     ) -> None:
@@ -229,7 +229,7 @@ def _distance_km(recording: Recording) -> float:
 
 
 def read_suspensions(
-    folder: Path, models: Sequence[TrainedModel], settings: FleetSettings, live: LiveSettings
+    folder: Path, models: Sequence[Model], settings: FleetSettings, live: LiveSettings
 ) -> list[LiveSuspension]:
     """Return each suspension that a folder has manifests of; data files may be missing.
 

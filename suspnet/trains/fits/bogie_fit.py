@@ -33,6 +33,12 @@ from scipy.stats import norm
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.intervals import COMMON
+from suspnet.estimation.temperature import (
+    SLOPE_DEVIATION,
+    USUAL_SLOPE,
+    DampingByTemperature,
+    kelvins_warmer,
+)
 from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground.parameters import COMPONENTS, PARAMETERS
 from suspnet.ground.types import FloatArray
@@ -106,23 +112,32 @@ def fit_parts(
     fit, x, misfit = found.fit, found.x, found.misfit
     unexplained = max(0.0, max(misfit, bogie.misfit) ** 2 - EXPLAINED**2)
     excess = max(1.0, misfit) ** 2 + ALIGNED**2 * fit.n_residuals * unexplained
-    own = slice(fit.n_numbers, None)
+    own = slice(fit.n_shared, None)
     covariance = COMMON**2 * fit.covariance(x, excess)[own, own]
     names = PARAMETERS if equal else COMPONENTS
     return PartsEstimate(np.exp(x[own]), covariance, misfit, found.converged, level, names)
 
 
-def healthy_search(generator: SpatialVehicle, trips: Sequence[BogieTrip]) -> BogieSearch:
-    """Return the search for the vehicle that healthy trips show, the prior its distribution."""
+def healthy_search(
+    generator: SpatialVehicle, trips: Sequence[BogieTrip], warmer: Sequence[float] = ()
+) -> BogieSearch:
+    """Return the search for the vehicle that healthy trips show, the prior its distribution.
+
+    `warmer` is as of `BogieSearch`.
+    """
     assert generator.distribution is not None
     # the free spectra hold the densities of cross level and alignment
     prior = generator.distribution.without(("cross_level", "alignment"))
     noise = torch.stack([smallest_noise(trip.spectra) for trip in trips]).amin(dim=0)
     vehicle = replace(generator, distribution=prior)
-    return BogieSearch(vehicle, [noise] * len(trips), trips, are_healthy=True)
+    return BogieSearch(vehicle, [noise] * len(trips), trips, are_healthy=True, warmer=warmer)
 
 
-def commission_bogie(generator: SpatialVehicle, trips: Sequence[BogieTrip]) -> CommissionedBogie:
+def commission_bogie(
+    generator: SpatialVehicle,
+    trips: Sequence[BogieTrip],
+    temperatures_c: Sequence[float | None] | None = None,
+) -> CommissionedBogie:
     """Return the most probable vehicle given healthy trips.
 
     Parameters
@@ -131,6 +146,8 @@ def commission_bogie(generator: SpatialVehicle, trips: Sequence[BogieTrip]) -> C
         With the prior as its distribution, and the sensors of the trips.
     trips : sequence of BogieTrip
         At least three, on the same bins.
+    temperatures_c : sequence of float or None, optional, [°C]
+        Of each trip, None if unknown.
 
     Raises
     ------
@@ -144,20 +161,33 @@ def commission_bogie(generator: SpatialVehicle, trips: Sequence[BogieTrip]) -> C
         raise ValueError(f"{len(trips)} healthy trips are given, at least {LEAST_TRIPS} are needed")
     if lost := sorted({name for trip in trips for name in trip.lost}):
         raise ValueError(f"healthy trips need all sensors, one has none at {', '.join(lost)}")
-    fit = healthy_search(generator, trips)
+    healthy_c, warmer = kelvins_warmer(temperatures_c or [None] * len(trips))
+    fit = healthy_search(generator, trips, warmer if any(warmer) else ())
     generator, prior = fit.generator, fit.numbers
     found = fit.found(EXPLAINED)
-    fit, x, misfit, n = found.fit, found.x, found.misfit, fit.n_numbers
-    covariance = fit.covariance(x, max(1.0, misfit) ** 2)[:n, :n]
+    fit, x, misfit, n, shared = found.fit, found.x, found.misfit, fit.n_numbers, fit.n_shared
+    covariance = fit.covariance(x, max(1.0, misfit) ** 2)
     factor = prior.factor
-    spread_of = factor @ covariance @ factor.T
+    spread_of = factor @ covariance[:n, :n] @ factor.T
     logs = np.array(prior.mean) + factor @ x[:n]
     rows = tuple(map(tuple, ((spread_of + spread_of.T) / 2).tolist()))
     posterior = LogNormal(prior.names, tuple(logs.tolist()), rows)
     return CommissionedBogie(
         replace(generator, distribution=posterior),
         torch.stack([one.densities for one in fit.noise_at(x)]).mean(dim=0),
-        np.exp(x[n:]),
+        np.exp(x[shared:]),
         misfit,
         found.converged,
+        _law(healthy_c, x[n:shared], covariance[n:shared, n:shared]),
     )
+
+
+def _law(
+    healthy_c: float | None, slopes: FloatArray, covariance: FloatArray
+) -> DampingByTemperature | None:
+    """Return the law of slopes in deviations from their prior; of none: the prior's."""
+    if healthy_c is None or not len(slopes):
+        return None if healthy_c is None else DampingByTemperature(healthy_c)
+    deviations = SLOPE_DEVIATION * np.sqrt(np.diag(covariance))
+    means = USUAL_SLOPE + SLOPE_DEVIATION * slopes
+    return DampingByTemperature(healthy_c, tuple(means.tolist()), tuple(deviations.tolist()))

@@ -18,7 +18,8 @@ import torch
 from scipy.optimize import leastsq
 from torch import Tensor
 
-from suspnet.ground.parameters import COMPONENTS, PARAMETERS, Direction
+from suspnet.estimation.temperature import DAMPINGS, SLOPE_DEVIATION, USUAL_SLOPE
+from suspnet.ground.parameters import COMPONENTS, PARAMETERS, Direction, kind_of
 from suspnet.ground.types import FloatArray
 from suspnet.trains.spectra.bogie_trip import BogieTrip, smallest_noise
 from suspnet.trains.spectra.noise_subspace import TripNoise, trip_noise
@@ -63,6 +64,12 @@ EQUAL = np.array([[name.startswith(kind) for kind in PARAMETERS] for name in COM
 coordinate, or all parts of a kind share one."""
 
 
+def _are_same(frequencies_hz: Tensor, other_hz: Tensor) -> bool:
+    """Return whether bins are the same but for rounding, as of segments of other lengths."""
+    is_alike = frequencies_hz.shape == other_hz.shape
+    return is_alike and torch.allclose(frequencies_hz, other_hz, rtol=0, atol=1e-9)
+
+
 @dataclass(frozen=True)
 class BogieSearch:
     """The sum of squares of some trips: coordinates of z, then each trip's own numbers.
@@ -70,7 +77,9 @@ class BogieSearch:
     `noises` are those of the trips' sensors as `SubspaceMisfit` takes them. Healthy trips have the
     logarithm of their mass as their own number, others those that `ties` (13, n_own) makes the
     logarithms of all parts and the mass from, the mass last. `mass` is what the masses of the trips
-    are expected about, the median of their prior.
+    are expected about, the median of their prior. `warmer` [K] is each trip's temperature above
+    their mean, empty where they do not differ; else the slopes of damping over temperature
+    (`suspnet.estimation.temperature`) follow z, in deviations from their prior.
     """
 
     generator: SpatialVehicle
@@ -79,11 +88,12 @@ class BogieSearch:
     are_healthy: bool
     mass: float = math.exp(MASS_MEAN)
     ties: FloatArray = field(default_factory=SEPARATE.copy)
+    warmer: Sequence[float] = ()
 
     def __post_init__(self) -> None:
         for trip in self.trips:
             n = len(self.sensors_of(trip))
-            if not torch.equal(trip.frequencies_hz, self.frequencies_hz):
+            if not _are_same(trip.frequencies_hz, self.frequencies_hz):
                 raise ValueError("the trips must have the same bins")
             if trip.spectra.values.shape != (len(self.frequencies_hz), n, n):
                 raise ValueError(
@@ -116,6 +126,25 @@ class BogieSearch:
     def n_numbers(self) -> int:
         """Number of the vehicle's uncertain numbers."""
         return len(self.numbers.names)
+
+    @property
+    def n_slopes(self) -> int:
+        """Number of slopes of damping over temperature that the trips tell."""
+        return len(DAMPINGS) if self.warmer else 0
+
+    @property
+    def n_shared(self) -> int:
+        """Number of coordinates that all trips share."""
+        return self.n_numbers + self.n_slopes
+
+    @cached_property
+    def _warming(self) -> FloatArray:
+        """Whether a damper's column follows the temperature by each slope, (n_slopes, n_columns).
+
+        Those of the other bogie warm as those of the measured one do.
+        """
+        kinds = [kind_of(name.removeprefix("other_")) for name in self.generator.columns]
+        return np.array([[kind == damping for kind in kinds] for damping in DAMPINGS], float)
 
     @property
     def _own_ties(self) -> FloatArray:
@@ -165,7 +194,7 @@ class BogieSearch:
         else:
             nearest = np.linalg.lstsq(self._own_ties, np.log(ratios), rcond=None)[0]
             own = nearest.astype(np.float64)
-        return np.concatenate([np.zeros(self.n_numbers), own])
+        return np.concatenate([np.zeros(self.n_shared), own])
 
     def nearer(self, ratios: FloatArray) -> FloatArray:
         """Return the start of lower cost: with the trip's own ratios, or with nothing worn."""
@@ -221,7 +250,8 @@ class BogieSearch:
     def of_trips(self, numbers: Sequence[int]) -> BogieSearch:
         """Return the sum of squares of some of the trips."""
         noises = [self.noises[i] for i in numbers]
-        return replace(self, noises=noises, trips=[self.trips[i] for i in numbers])
+        warmer = [self.warmer[i] for i in numbers] if self.warmer else ()
+        return replace(self, noises=noises, trips=[self.trips[i] for i in numbers], warmer=warmer)
 
     @cached_property
     def unlike(self) -> list[int]:
@@ -231,10 +261,10 @@ class BogieSearch:
 
     def start_at(self, x: FloatArray, numbers: Sequence[int]) -> FloatArray:
         """Return the coordinates of all trips from those of some, the others' as their mean."""
-        own = x[self.n_numbers :].reshape(len(numbers), -1)
+        own = x[self.n_shared :].reshape(len(numbers), -1)
         every = np.tile(own.mean(axis=0), (len(self.trips), 1))
         every[list(numbers)] = own
-        return np.concatenate([x[: self.n_numbers], every.ravel()])
+        return np.concatenate([x[: self.n_shared], every.ravel()])
 
     def narrowed(self, x: FloatArray, first: int = 0) -> Found:
         """Return the end of the searches with smaller errors, from the first of ``SPREADS``."""
@@ -318,7 +348,7 @@ class BogieSearch:
         slopes = self._jacobian(x, misfits, self.all_bins)
         spread = np.linalg.inv(slopes.T @ slopes)
         step = -spread @ (slopes.T @ self._residuals(x, misfits, self.all_bins))
-        rows = np.eye(len(x))[self.n_numbers :]  # the trips' own numbers
+        rows = np.eye(len(x))[self.n_shared :]  # the trips' own numbers
         if self.are_healthy:
             names = [name.startswith("healthy_") for name in self.numbers.names]
             factor = self.numbers.factor[np.flatnonzero(names)]
@@ -362,10 +392,14 @@ class BogieSearch:
     def _rows(self, x: FloatArray, i: int) -> Tensor:
         """Return all columns of ratios of trip i, (1, n_columns)."""
         x = np.clip(x, -FURTHEST, FURTHEST)  # a step from afar may overflow
-        own = self._own_ties @ x[self.n_numbers :].reshape(len(self.trips), -1)[i]
+        own = self._own_ties @ x[self.n_shared :].reshape(len(self.trips), -1)[i]
         numbers = self.numbers.ratios(x[None, : self.n_numbers])
         parts = torch.as_tensor(np.exp(own))[None]
-        return self.generator.with_uncertain(parts, torch.as_tensor(numbers))
+        rows = self.generator.with_uncertain(parts, torch.as_tensor(numbers))
+        if not self.warmer:
+            return rows
+        slopes = USUAL_SLOPE + SLOPE_DEVIATION * x[self.n_numbers : self.n_shared]
+        return rows * torch.as_tensor(np.exp(self.warmer[i] * slopes @ self._warming))
 
     def _responses(self, x: FloatArray, i: int, bins: Tensor) -> Tensor:
         trip = self.trips[i]
@@ -375,12 +409,24 @@ class BogieSearch:
 
     @cached_property
     def _directions(self) -> Tensor:
-        """Changes of the logarithms of the columns with each coordinate, (n, n_columns)."""
-        n, columns = self.n_numbers, self.generator.uncertain_columns
-        found = torch.zeros(n + self._n_own, len(self.generator.columns), dtype=torch.float64)
+        """Changes of the logarithms of the columns with each coordinate, (n, n_columns).
+
+        Those with a slope are of a trip 1 K warmer.
+        """
+        n, shared, columns = self.n_numbers, self.n_shared, self.generator.uncertain_columns
+        found = torch.zeros(shared + self._n_own, len(self.generator.columns), dtype=torch.float64)
         found[:n, columns] = torch.tensor(self.numbers.factor.T.copy())
-        found[n:, : len(COMPONENTS)] = torch.as_tensor(self._own_ties.T)
+        found[n:shared] = SLOPE_DEVIATION * torch.as_tensor(self._warming[: self.n_slopes])
+        found[shared:, : len(COMPONENTS)] = torch.as_tensor(self._own_ties.T)
         return found
+
+    def _directions_of(self, i: int) -> Tensor:
+        """Return the directions on a trip, whose damping follows its own temperature."""
+        if not self.warmer:
+            return self._directions
+        scale = torch.ones(len(self._directions), 1, dtype=torch.float64)
+        scale[self.n_numbers : self.n_shared] = self.warmer[i]
+        return scale * self._directions
 
     def _residuals(
         self, x: FloatArray, misfits: Sequence[SubspaceMisfit], bins: Tensor
@@ -390,16 +436,16 @@ class BogieSearch:
 
     def _prior(self, x: FloatArray) -> FloatArray:
         mean, deviation = self._own
-        own = x[self.n_numbers :].reshape(len(self.trips), -1)
-        return np.concatenate([x[: self.n_numbers], ((own - mean) / deviation).ravel()])
+        own = x[self.n_shared :].reshape(len(self.trips), -1)
+        return np.concatenate([x[: self.n_shared], ((own - mean) / deviation).ravel()])
 
     def _jacobian(
         self, x: FloatArray, misfits: Sequence[SubspaceMisfit], bins: Tensor
     ) -> FloatArray:
-        n, n_own, found = self.n_numbers, self._n_own, []
+        n, n_own, found = self.n_shared, self._n_own, []
         for i, (trip, misfit) in enumerate(zip(self.trips, misfits, strict=True)):
             responses, changes = self._of(trip).channels_along(
-                self._rows(x, i), self.frequencies_hz[trip.of(bins)], self._directions
+                self._rows(x, i), self.frequencies_hz[trip.of(bins)], self._directions_of(i)
             )
             inputs, sensors = self._inputs, self.sensors_of(trip)
             seen = responses[0, inputs][:, sensors], changes[0][:, inputs][:, :, sensors]

@@ -101,7 +101,6 @@ def commission(
     groups: Sequence[HealthySpectra],
     *,
     n_starts: int = N_STARTS,
-    near: CommissionedBogie | None = None,
     progress: bool = False,
 ) -> Commissioned:
     """Return the most probable vehicle given healthy trips.
@@ -116,8 +115,6 @@ def commission(
         From `read_healthy`.
     n_starts : int
         Largest number of searches that are completed.
-    near : CommissionedBogie, optional
-        The bogie that these trips show part by part: only its valley is searched.
     progress : bool
         Show a progress bar.
 
@@ -132,7 +129,7 @@ def commission(
         target = VehicleSearch(generator, settings, groups)
         target.on_step = steps.update
         # allow model errors first: a direct search would end in a valley far off
-        first = target.first_searches(n_starts) if near is None else [target.search_near(near)]
+        first = target.first_searches(n_starts)
         distinct = {id(found): found for found in first}
         on = {key: target.search(found.x, SPREADS[1:]) for key, found in distinct.items()}
         rough = sorted((on[id(found)] for found in first), key=attrgetter("cost"))
@@ -172,40 +169,58 @@ def commission(
 
 
 def as_bogie(
-    generator: VerticalVehicle, settings: EstimateSettings, bogie: CommissionedBogie
+    generator: VerticalVehicle,
+    settings: EstimateSettings,
+    groups: Sequence[HealthySpectra],
+    bogie: CommissionedBogie,
 ) -> Commissioned:
-    """Return the vehicle of equal sides with the numbers of a bogie, fitted to no curves.
+    """Return the vehicle of equal sides with the numbers of a bogie, beside the trips' curves.
 
-    It takes what `commission` does. Numbers that the bogie has not keep their prior.
+    It takes what `commission` does, also no groups. Numbers that the bogie lacks keep their prior.
     """
     prior, known = generator.distribution, bogie.generator.distribution
     assert prior is not None
     assert known is not None
     mean, covariance = np.array(prior.mean), np.array(prior.covariance)
     shared = [name for name in prior.names if name in known.names]
-    here = [prior.names.index(name) for name in shared]
-    there = [known.names.index(name) for name in shared]
-    covariance[here], covariance[:, here] = 0.0, 0.0
-    covariance[np.ix_(here, here)] = np.array(known.covariance)[np.ix_(there, there)]
-    mean[here] = np.array(known.mean)[there]
+    own = [prior.names.index(name) for name in shared]
+    of_bogie = [known.names.index(name) for name in shared]
+    covariance[own], covariance[:, own] = 0.0, 0.0
+    covariance[np.ix_(own, own)] = np.array(known.covariance)[np.ix_(of_bogie, of_bogie)]
+    mean[own] = np.array(known.mean)[of_bogie]
     posterior = LogNormal(prior.names, tuple(mean), tuple(map(tuple, covariance)))
+    masses = torch.as_tensor(np.log(bogie.masses))[None]
+    medians = torch.zeros(1, len(posterior.names), dtype=torch.float64)
     frequencies_hz = settings.frequencies_hz().numpy()
-    none = np.zeros((0, 2, len(frequencies_hz)))
+    misfits: tuple[float, ...] = ()
+    if groups:
+        of_median = HealthyMisfit(replace(generator, distribution=posterior), settings, groups)
+        plain = HealthyMisfit(replace(generator, distribution=None), settings, groups)
+        of_laws = torch.zeros(1, of_median.n_of_damping, dtype=torch.float64)
+        theta = torch.cat([medians, masses, of_laws], dim=1)
+        observed, fitted, deviations = of_median.curves(theta)
+        nominal = plain.curves(theta[:, medians.shape[1] :])[1]
+        misfits = tuple(of_median.misfits(theta))
+    else:
+        none = np.zeros((0, 2, len(frequencies_hz)))
+        observed = fitted = nominal = none.astype(np.complex128)
+        deviations = none
     return Commissioned(
         generator=_simplest(generator, posterior),
         prior=prior,
         posterior=posterior,
         masses=bogie.masses,
         misfit=bogie.misfit,
-        misfits=(),
+        misfits=misfits,
         frequencies_hz=frequencies_hz,
-        observed=none.astype(np.complex128),
-        nominal=none.astype(np.complex128),
-        fitted=none.astype(np.complex128),
-        deviations=none,
+        observed=observed,
+        nominal=nominal,
+        fitted=fitted,
+        deviations=deviations,
         n_agree=0,
         n_starts=0,
         converged=bogie.converged,
+        laws=Laws(bogie.law),
     )
 
 

@@ -31,7 +31,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.ground.types import FloatArray
 from suspnet.learning.least_squares import LevenbergMarquardt
 from suspnet.trains.fits.healthy_misfit import HealthyMisfit, row_of
@@ -138,18 +137,6 @@ class VehicleSearch(HealthyMisfit):
             (again if near else separate).append(near[0] if near else one)
         n_separate = max(1, n_starts - 1)
         return [*separate[:n_separate], *again[:1], *separate[n_separate:]][:n_starts]
-
-    def search_near(self, bogie: CommissionedBogie) -> End:
-        """Return the end of the first search from the bogie that these trips show."""
-        posterior = bogie.generator.distribution
-        assert posterior is not None
-        known = dict(zip(posterior.names, posterior.mean, strict=True))
-        changes = [
-            known.get(name, mean) - mean
-            for name, mean in zip(self.prior.names, self.prior.mean, strict=True)
-        ]
-        z = np.linalg.lstsq(self.every.factor.numpy(), np.array(changes), rcond=None)[0]
-        return self.search(self.start(z, np.log(bogie.masses)), SPREADS[:1])
 
     def start(self, z: FloatArray, masses: FloatArray) -> FloatArray:
         """Return theta of a vehicle's coordinates and the logarithms of the trips' masses."""

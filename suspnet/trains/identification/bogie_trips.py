@@ -20,7 +20,7 @@ from suspnet.estimation.intervals import LARGEST_MISFIT
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.findings import Finding, at, together
 from suspnet.ground.parameters import COMPONENTS, FORWARD, SIDES, Direction
-from suspnet.trains.fits.bogie_fit import fit_parts
+from suspnet.trains.fits.bogie_fit import PartsEstimate, fit_parts
 from suspnet.trains.fits.worn_parts import worn_parts
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.manifest import LEAST_SENSORS, TripManifest
@@ -42,46 +42,34 @@ PARTS_OF_BOGIE = (
 """What a vehicle whose parts are read may have besides rigid bodies on springs and dampers."""
 SHARED = ("bogie", "axle", "frame_sensor", "body_sensor_m", "nominal")
 """Settings that it shares with the vehicle of both sides as equal."""
-SEGMENT_S = 120.0
-"""Length of a segment. The leakage of a Hann window of 20 s leaves a misfit of 4 to 7, of 60 s 1.4
-and of 120 s 1.05 (stepped trips of 20 minutes of the tests' rich train)."""
+SEGMENTS_S = (120.0, 60.0, 40.0)
+"""Lengths of segments, the first of which gives enough averages. The leakage of a Hann window of
+20 s leaves a misfit of 4 to 7, of 60 s 1.4 and of 120 s 1.05 (stepped trips of 20 minutes of the
+tests' rich train)."""
 LOW_HZ, HIGH_HZ = 0.5, 18.0
 """Ends of the band: below, accelerometers drift; above, frame and body have modes of their own."""
 SPACING_HZ = 0.1
 """Distance of the bins, far enough for them to be independent."""
-UNEXPLAINED = "all sensors together fit no bogie, however worn its parts are"
-"""Why the estimate of both sides as equal is flagged where that of the parts failed."""
 
 
-class UnexplainedError(NoEstimateError):
-    """No bogie whose parts alone have changed explains the trip."""
-
-
-def bogie_vehicle(manifests: Sequence[TripManifest], generator: VerticalVehicle) -> SpatialVehicle:
+def bogie_vehicle(
+    manifests: Sequence[TripManifest], generator: VerticalVehicle
+) -> SpatialVehicle | None:
     """Return the vehicle, with its prior, whose parts the sensors of some trips show.
 
-    `generator` gives vehicle and bogie, the manifests give the places of sensors. TripError is
-    raised if these differ, or do not show the parts.
+    `generator` gives vehicle and bogie, the manifests give the places of sensors. None if these do
+    not show the parts; TripError if they show them but differ.
     """
-    folder = manifests[0].path.parent
-    several = {sensor_places(manifest, generator.frame_sensor) for manifest in manifests}
-    if len(several) > 1:
-        raise TripError(at(folder, "sensors-differ-healthy"))
-    sensors = several.pop()
-    if not show_parts(sensors):
-        raise TripError(
-            at(
-                folder,
-                "too-few-sensors-for-parts",
-                least_sensors=LEAST_SENSORS,
-                sensors=", ".join(sensors) or "none",
-            )
-        )
+    places = [sensor_places(manifest, generator.frame_sensor) for manifest in manifests]
+    if not any(map(show_parts, places)):
+        return None
+    if len(set(places)) > 1:
+        raise TripError(at(manifests[0].path.parent, "sensors-differ-healthy"))
     return SpatialVehicle(
         generator.vehicle,
         **{name: getattr(generator, name) for name in SHARED},
         parts=PARTS_OF_BOGIE,
-        sensors=sensors,
+        sensors=places[0],
     ).with_prior()
 
 
@@ -115,18 +103,22 @@ def bogie_trip(
         whose faults break it up the most.
     """
     settings = settings or TripSettings()
-    try:
-        return _trip_of_all(recording, generator, settings, direction)
-    except NoEstimateError:
-        if not recording.faulty:
-            raise
-        worst = max(recording.faulty, key=lambda name: int(recording.faulty[name].sum()))
-        rest = recording.without(worst)
-        try:
-            return _trip_of_all(rest, generator, settings, direction)
-        except NoEstimateError:
-            pass
-        raise
+    candidates, reasons = _candidates(recording), []
+    for segment_s in SEGMENTS_S:
+        for candidate in candidates:
+            try:
+                return _trip_of_all(candidate, generator, settings, direction, segment_s)
+            except NoEstimateError as reason:
+                reasons.append(reason)
+    raise reasons[-len(candidates)]  # of all sensors, with the shortest segments
+
+
+def _candidates(recording: Recording) -> list[Recording]:
+    """Return a recording, and without the sensor whose faults break it up the most, if any does."""
+    if not recording.faulty:
+        return [recording]
+    worst = max(recording.faulty, key=lambda name: int(recording.faulty[name].sum()))
+    return [recording, recording.without(worst)]
 
 
 def _trip_of_all(
@@ -134,24 +126,25 @@ def _trip_of_all(
     generator: SpatialVehicle,
     settings: TripSettings,
     direction: Direction | None,
+    segment_s: float,
 ) -> BogieTrip:
     """Return the spectral matrix of all sensors of a recording, as of `bogie_trip`."""
     assert generator.sensors is not None
     lost = _lost_sensors(recording, generator)
     n_sensors = len(generator.sensors) - len(lost)
-    if recording.duration_s < SEGMENT_S:
-        raise NoEstimateError(_too_short(0, n_sensors))
-    names, segments = sensor_segments(recording, Welch(SEGMENT_S))
-    there = _places(recording.manifest, generator.frame_sensor)
-    places = [there.get(name) for name in names]
+    if recording.duration_s < segment_s:
+        raise NoEstimateError(_too_short(0, n_sensors, segment_s))
+    names, segments = sensor_segments(recording, Welch(segment_s))
+    place_of = _places(recording.manifest, generator.frame_sensor)
+    places = [place_of.get(name) for name in names]
     order = [places.index(place) for place in generator.sensors if place not in lost]
     speeds = segment_speeds(recording, segments)
     groups = groups_to_read(speeds, settings.speed_tolerance, settings.min_speed_m_per_s)
     chosen = without_loud(segments, groups[0]) if groups else torch.zeros(0, dtype=torch.bool)
     n_chosen = int(chosen.sum())
     if not n_chosen or segments.welch.n_averages(n_chosen) <= n_sensors + 1:
-        raise NoEstimateError(_too_short(n_chosen, n_sensors))
-    bins = _bins(segments.frequencies_hz)
+        raise NoEstimateError(_too_short(n_chosen, n_sensors, segment_s))
+    bins = _bins(segments.frequencies_hz, segment_s)
     matrix = SpectralMatrix.of(segments, chosen).at(bins).of_sensors(order)
     frequencies_hz, lines = segments.frequencies_hz[bins], wheel_lines(recording)
     return BogieTrip(
@@ -160,7 +153,7 @@ def _trip_of_all(
         float(speeds[chosen].mean()),
         direction or recording.manifest.direction or FORWARD,
         lost,
-        line_bins(lines, speeds[chosen], frequencies_hz, SEGMENT_S) if lines else None,
+        line_bins(lines, speeds[chosen], frequencies_hz, segment_s) if lines else None,
     )
 
 
@@ -186,13 +179,13 @@ def _lost_sensors(recording: Recording, generator: SpatialVehicle) -> tuple[str,
     return lost
 
 
-def _too_short(n_segments: int, n_sensors: int) -> str:
+def _too_short(n_segments: int, n_sensors: int, segment_s: float) -> str:
     least = math.nextafter(n_sensors + 1, math.inf)  # more than one beyond the sensors
     return Finding(
         "too-short-for-parts",
         n_sensors=n_sensors,
-        minutes_each=SEGMENT_S / 60,
-        minutes=minutes_words(Welch(SEGMENT_S), n_segments, least),
+        seconds_each=segment_s,
+        minutes=minutes_words(Welch(segment_s), n_segments, least),
     )
 
 
@@ -222,42 +215,49 @@ def estimate_parts(
 ) -> Estimate:
     """Return the ratio to healthy of each part on a trip, one row; `found` names the worn ones.
 
-    NoEstimateError is raised as by `bogie_trip`, UnexplainedError if the vehicle does not explain
-    the trip, TripError if two sensors look swapped.
+    Damping is as at the temperature of the healthy trips. The estimate is flagged if no bogie whose
+    parts alone have changed explains the trip. NoEstimateError is raised as by `bogie_trip`,
+    TripError if two sensors look swapped.
     """
     trip = bogie_trip(recording, bogie.generator, settings, direction)
     if settings.check_channels:
         check_order(bogie.generator, trip)
     parts = fit_parts(bogie, trip, settings.level)
+    estimate = parts.as_estimate()
+    flags = with_bogie_doubt(estimate.flags, has_converged=bogie.converged, misfit=bogie.misfit)
+    if not parts.converged:
+        flags = flags.with_kind("misfit", "the search for the parts did not end within its steps")
     most = LARGEST_MISFIT * max(1.0, bogie.misfit)
-    if not parts.misfit <= most:  # also NaN
-        furthest = COMPONENTS[int(np.argmax(np.abs(np.log(parts.values[:-1]))))]
-        raise UnexplainedError(
-            Finding(
-                "parts-explain-nothing",
-                misfit=parts.misfit,
-                most=most,
-                furthest=furthest,
-                values=100 * parts.values[COMPONENTS.index(furthest)],
-            )
-        )
-    found = parts.as_estimate()
-    flags = with_bogie_doubt(found.flags, has_converged=bogie.converged, misfit=bogie.misfit)
-    worn = together(one.finding for one in worn_parts(parts))
+    worn = ""
+    if parts.misfit <= most:  # not NaN
+        worn = together(part.finding for part in worn_parts(parts))
+    else:
+        flags = flags.with_kind("misfit", _unexplained(parts, most))
     places = _places(recording.manifest, bogie.generator.frame_sensor)
     names = {place: name for name, place in places.items()}
     estimate = replace(
-        found,
+        estimate,
         flags=flags,
         healthy=bogie.healthy,
         found=worn,
         misfit=parts.misfit,
         lost=tuple(names.get(place, place) for place in trip.lost),
     )
-    if parts.converged:
+    if bogie.law is None:
         return estimate
-    text = "the search for the parts did not end within its steps"
-    return replace(estimate, flags=estimate.flags.with_kind("misfit", text))
+    return bogie.law.compared(estimate, recording.manifest.temperature_c)
+
+
+def _unexplained(parts: PartsEstimate, most: float) -> str:
+    """Return why an estimate of parts is not one, and which part is furthest from healthy."""
+    furthest = int(np.argmax(np.abs(np.log(parts.values[:-1]))))
+    return Finding(
+        "parts-explain-nothing",
+        misfit=parts.misfit,
+        most=most,
+        furthest=COMPONENTS[furthest],
+        values=100 * parts.values[furthest],
+    )
 
 
 def _places(manifest: TripManifest, frame_sensor: Literal["axle", "centre"]) -> dict[str, str]:
@@ -271,8 +271,8 @@ def _places(manifest: TripManifest, frame_sensor: Literal["axle", "centre"]) -> 
     return found
 
 
-def _bins(frequencies_hz: Tensor) -> Tensor:
-    """Return the numbers of the bins in use."""
+def _bins(frequencies_hz: Tensor, segment_s: float) -> Tensor:
+    """Return the numbers of the bins in use, which are the same for all lengths of segments."""
     inside = (frequencies_hz >= LOW_HZ - 1e-9) & (frequencies_hz <= HIGH_HZ + 1e-9)
-    found: Tensor = inside.nonzero()[:: round(SPACING_HZ * SEGMENT_S), 0]
-    return found
+    numbers: Tensor = inside.nonzero()[:: round(SPACING_HZ * segment_s), 0]
+    return numbers

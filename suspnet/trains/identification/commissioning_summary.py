@@ -145,27 +145,19 @@ LOOK_FIRST = Finding("look-at-sensors-first", untrusted=UNTRUSTED)
 """Advice on a vehicle that is far from its trips."""
 
 
-def doubts(outcome: Commissioned, *, by_part: bool = False) -> list[str]:
-    """Return a sentence for each reason not to rely on a commissioned vehicle.
-
-    If each part is read, sides and axles that differ are not in this vehicle: a misfit is a reason
-    only where estimates are flagged for it, a search that it ends early is none, and no other start
-    has been searched.
-    """
+def doubts(outcome: Commissioned) -> list[str]:
+    """Return a sentence for each reason not to rely on a commissioned vehicle."""
     found: list[str] = []
-    if not outcome.misfits:
-        return found  # the bogie has its own
-    differ = by_part and not is_explained(outcome)
-    if not is_explained(outcome) and not (by_part and outcome.misfit <= UNTRUSTED):
+    if not is_explained(outcome):
         found.append(Finding("vehicle-misfit", incomplete=INCOMPLETE, untrusted=UNTRUSTED))
     if outcome.misfit > UNTRUSTED:
         found.append(LOOK_FIRST)
-    if not outcome.converged and not differ:
+    if not outcome.converged:
         found.append(
             "The search for the vehicle did not converge: its numbers may not be the most "
             "probable ones. Commission on more or longer trips."
         )
-    if outcome.n_agree < LEAST_AGREEING and not by_part:
+    if outcome.n_agree < LEAST_AGREEING:
         found.append(Finding("no-start-agrees", n_starts=outcome.n_starts))
     return found
 
@@ -215,18 +207,6 @@ def of_parts(bogie: CommissionedBogie) -> str:
     return Finding("each-part-is-read", misfit=bogie.misfit, **spreads)
 
 
-def as_equal(outcome: Commissioned) -> str:
-    """Return a sentence on the vertical vehicle where each part is read."""
-    if not outcome.misfits:
-        return NO_CURVES
-    return Finding("misfit-as-equal", misfit=outcome.misfit)
-
-
-NO_CURVES = (
-    "Both sides and axles as equal are not read, as that takes sensors at axle 1 on axle box, "
-    "frame and body: trips that do not show their parts have no estimate."
-)
-"""Sentence on a bogie whose sensors show its parts only."""
 SHOWS_MASS = 2 * EXPLAINED
 """Largest misfit of the parts with which the mass of the healthy trips is told."""
 

@@ -38,9 +38,9 @@ class HealthyTrips(ShortRepr):
 
     `manifests` are those of the trips in use; `paired` tells which of axle box, frame and body have
     a sensor left and right; `left_out` are trips without a usable stretch, with the reason.
-    `later` are the directions of travel of the folder's other trips, as far as stated. Where each
-    part is to be read, `vehicle` is the one with the parts that the sensors show, and `of_parts`
-    are the trips as it reads them; `groups` are empty if a channel has no sensor at axle 1.
+    `later` are the directions of travel of the folder's other trips, as far as stated. Where the
+    sensors show each part, `vehicle` is the one with these parts, and `of_parts` are the trips as
+    it reads them; `groups` are empty if a channel has no sensor at axle 1.
     `doubts` are sentences on sensors that look to be elsewhere, and on the direction of travel.
     """
 
@@ -75,10 +75,9 @@ def read_healthy(
     *,
     paths: Sequence[ManifestFile] | None = None,
     n_first: int | None = None,
-    by_part: bool = False,
     progress: bool = False,
 ) -> HealthyTrips:
-    """Return the spectra of a folder's healthy trips.
+    """Return the spectra of a folder's healthy trips, and matrices where they show each part.
 
     Parameters
     ----------
@@ -94,8 +93,6 @@ def read_healthy(
         Manifests to read, if the folder holds others as well; None is all.
     n_first : int, optional
         Use only the first trips by mileage.
-    by_part : bool
-        Whether each part is to be read.
     progress : bool
         Show a progress bar.
 
@@ -105,15 +102,14 @@ def read_healthy(
         If there is no such folder, or no manifest in it.
     TripError
         If the trips are of another vehicle or bogie, of several suspensions or of different
-        sensors, if these do not show the parts that are to be read, if a recording is faulty, or if
-        fewer than three trips have a usable stretch.
+        sensors, if a recording is faulty, or if fewer than three trips have a usable stretch.
     """
     manifests = [one.trip for one in paths or map(ManifestFile, find_manifests(folder))]
     manifests.sort(key=lambda manifest: manifest.mileage_km)
     n_first = len(manifests) if n_first is None else n_first
     manifests, later = manifests[:n_first], manifests[n_first:]
     _check_same(folder, manifests, generator)
-    vehicle = bogie_vehicle(manifests, generator) if by_part else None
+    vehicle = bogie_vehicle(manifests, generator)
     of_parts = []
     # a trip without a usable stretch is left out, with the reason
     kept: list[TripManifest] = []

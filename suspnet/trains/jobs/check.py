@@ -16,7 +16,7 @@ from torch import Tensor
 from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.speeds import NoEstimateError
 from suspnet.curves.welch import SegmentSpectra, Welch
-from suspnet.estimation.trained import TrainedModel
+from suspnet.estimation.fitted import Model
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.findings import Finding, together, with_values, without
 from suspnet.ground.records import ERROR, OK
@@ -70,7 +70,7 @@ class CheckSettings:
     vehicles: Mapping[str, Vehicle]
     trips: TripSettings = field(default_factory=TripSettings)
     pictures: Path | None = None
-    models: Sequence[TrainedModel] = ()
+    models: Sequence[Model] = ()
 
 
 def check_trip(

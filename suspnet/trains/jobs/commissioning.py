@@ -9,23 +9,29 @@ from functools import partial
 from pathlib import Path
 
 from suspnet.curves.estimates import EstimateSettings
+from suspnet.estimation.bogie_model import BogieModel
+from suspnet.estimation.checkpoint import write_model
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.parameters import SIDES
+from suspnet.ground.storage import write_json
 from suspnet.ground.tensors import threads
+from suspnet.runs.train import environment
 from suspnet.trains.fits.bogie_fit import EXPLAINED, commission_bogie
 from suspnet.trains.fits.commissioning import Commissioned, as_bogie, commission
 from suspnet.trains.identification import commissioning_summary as words
-from suspnet.trains.identification.healthy_trips import HealthyTrips, read_healthy
+from suspnet.trains.identification.healthy_trips import HealthyTrips
 from suspnet.trains.recordings.errors import all_of
 from suspnet.trains.recordings.manifest import CHANNELS
-from suspnet.trains.sensors.lone_sensors import SIDE_M
 from suspnet.trains.sensors.swapped_sensors import NEARLY, check_bogie, check_order
 from suspnet.vehicle import ResponseGenerator, VerticalVehicle
 from suspnet.vehicle.quantities import PARTS, LogNormal
 
 log = logging.getLogger(__name__)
-FAMILY = tuple(part for part in PARTS if part not in ("air_spring", "yaw_dampers"))
+FAMILY = tuple(part for part in PARTS if part != "air_spring")
 """Parts of the vehicle that is commissioned if the configuration names none."""
+SIDE_M = dict(zip(SIDES, (1.0, -1.0), strict=True))
+"""Assumed lateral position of a sensor if only its side is known, [m]."""
 
 
 def commission_trips(
@@ -39,25 +45,18 @@ def commission_trips(
     """Return the vehicle that healthy trips show, both sides and axles as equal.
 
     `generator` is the nominal vehicle; without parts it gets all but the air spring, without a
-    distribution the prior of its parts. If each part is read, this vehicle is only for trips that
-    do not show their parts, and is near the `bogie` if that explains the trips; it is that of the
-    bogie if the trips have no spectra for it. ValueError if the generator cannot be commissioned.
+    distribution the prior of its parts. With a `bogie` it is that of the bogie, beside the curves
+    of the trips. ValueError if the generator cannot be commissioned.
     """
     generator = check_generator(generator)
     settings = settings.bound(generator.vehicle)
     for reason in healthy.left_out:
         log.warning("left out of the healthy trips: %s", reason)
-    if bogie is None:
-        _log_doubts(healthy)
-    near = bogie if bogie is not None and bogie.misfit <= EXPLAINED else None
     prior = _prior(generator, healthy)
-    if bogie is not None and not healthy.groups:
-        outcome = as_bogie(prior, settings, bogie)
-    else:
-        outcome = commission(prior, settings, healthy.groups, near=near, progress=progress)
     if bogie is not None:
-        log.info("%s", words.as_equal(outcome))
-        return outcome
+        return as_bogie(prior, settings, healthy.groups, bogie)
+    _log_doubts(healthy)
+    outcome = commission(prior, settings, healthy.groups, progress=progress)
     log.info("%s %s", words.verdict(healthy, outcome), words.agreement(outcome))
     for doubt in [*words.doubts(outcome), words.mass_doubt(outcome.masses)]:
         if doubt:
@@ -70,31 +69,12 @@ def commission_trips(
     return outcome
 
 
-def commission_folder(
-    folder: Path,
-    generator: ResponseGenerator,
-    settings: EstimateSettings,
-    trips: TripSettings,
-    *,
-    n_first: int | None = None,
-    progress: bool = False,
-) -> tuple[HealthyTrips, Commissioned]:
-    """Return the healthy trips of a folder and the vehicle that they show.
-
-    It takes and raises what `read_healthy` and `commission_trips` do.
-    """
-    own = check_generator(generator)
-    bound = settings.bound(own.vehicle)
-    healthy = read_healthy(folder, own, bound, trips, n_first=n_first, progress=progress)
-    return healthy, commission_trips(healthy, generator, settings, progress=progress)
-
-
 # one thread: systems of 30 equations are too small for two, and results are the same anywhere
 @threads(1)
 def commission_parts(healthy: HealthyTrips, trips: TripSettings) -> CommissionedBogie:
-    """Return the bogie that healthy trips show, part by part.
+    """Return the bogie that healthy trips, whose sensors show it, show part by part.
 
-    `healthy` has been read for its parts. TripError if sensors look swapped, or the trips show the
+    TripError if sensors look swapped, or the trips show the
     other bogie.
     """
     vehicle = healthy.vehicle
@@ -110,7 +90,8 @@ def commission_parts(healthy: HealthyTrips, trips: TripSettings) -> Commissioned
 
     if trips.check_channels:
         check_orders(1.0)
-    bogie = commission_bogie(vehicle, healthy.of_parts)
+    temperatures_c = [manifest.temperature_c for manifest in healthy.manifests]
+    bogie = commission_bogie(vehicle, healthy.of_parts, temperatures_c)
     if trips.check_channels and bogie.misfit > EXPLAINED:
         check_orders(NEARLY)
         check_bogie(vehicle, healthy.of_parts, bogie.misfit, str(folder))
@@ -118,6 +99,14 @@ def commission_parts(healthy: HealthyTrips, trips: TripSettings) -> Commissioned
     for doubt in words.doubts_of_parts(bogie):
         log.warning("%s", doubt)
     return bogie
+
+
+def write_bogie_model(folder: Path, model: BogieModel) -> None:
+    """Write a commissioned bogie to a run's folder; metrics.json marks it as finished."""
+    write_model(folder, model)
+    write_json(folder / "environment.json", environment())
+    metrics = {"model": model.name, "vehicle": model.vehicle.name, "misfit": model.bogie.misfit}
+    write_json(folder / "metrics.json", metrics)
 
 
 def _log_doubts(healthy: HealthyTrips) -> None:

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from suspnet.estimation.fitted import Model
 from suspnet.estimation.from_spectra import trip_settings
-from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.extras import check_extra
 from suspnet.ground.findings import at, of, together
@@ -109,7 +109,7 @@ class FleetSettings:
         """Number of first trips that define healthy; None: the models do."""
         return self.n_reference if self.reference == "first_trips" else None
 
-    def limits_of(self, models: Sequence[TrainedModel]) -> dict[str, Limits]:
+    def limits_of(self, models: Sequence[Model]) -> dict[str, Limits]:
         """Return the limits of each parameter that has any: overridden, or the vehicle's.
 
         Of models of several commissionings the last one's vehicle counts. ValueError is raised if
@@ -121,7 +121,7 @@ class FleetSettings:
 
 def evaluate_fleet(
     folder: Path,
-    models: Sequence[TrainedModel],
+    models: Sequence[Model],
     output: Path,
     settings: FleetSettings,
     progress: bool = True,
@@ -180,7 +180,7 @@ def evaluate_fleet(
         reasons = together(of(one.name, one.error) for one in done)
         raise ValueError(at(folder, "no-suspension-read", n_done=len(done), reasons=reasons))
     done.sort(key=lambda one: (-one.severity, one.name))
-    log.info("%s\n-> %s", write_overview(done, models[0].task.outputs, output), output)
+    log.info("%s\n-> %s", write_overview(done, models[0].outputs, output), output)
     return done
 
 
@@ -211,7 +211,7 @@ class _Suspension:
     """
 
     group: Group
-    models: Sequence[TrainedModel]
+    models: Sequence[Model]
     output: Path
     limits: Mapping[str, Limits]
     finished: FinishedTrips
@@ -234,7 +234,7 @@ class _Trips:
 
 
 def _suspension(
-    group: Group, models: Sequence[TrainedModel], output: Path, settings: FleetSettings
+    group: Group, models: Sequence[Model], output: Path, settings: FleetSettings
 ) -> _Suspension:
     """Return a suspension with the results of those of its trips that need not be read again."""
     fitting = models_of(models, group.place)
@@ -350,7 +350,7 @@ def _evaluated(
                 yield suspension
 
 
-_Item = tuple[ManifestFile, Sequence[TrainedModel]]
+_Item = tuple[ManifestFile, Sequence[Model]]
 
 
 def _read_trip(item: _Item, settings: TripSettings) -> TripResult:
@@ -391,7 +391,7 @@ def _read_by_workers(
             future.release()  # the workers hold its result until then
 
 
-def least_percent(outputs: Sequence[str], models: Sequence[TrainedModel]) -> dict[str, float]:
+def least_percent(outputs: Sequence[str], models: Sequence[Model]) -> dict[str, float]:
     """Return the smallest change of each parameter that the models can resolve, [%]."""
     rms = {
         name: max(m.training.get("test_rms_percent", {}).get(name, 0.0) for m in models)

@@ -158,7 +158,8 @@ def write_paper(
 
 def _models(folder: Path) -> list[TrainedModel]:
     """Return the MSVR of each group, of one seed, or another method's if none was trained."""
-    models = [load_model(path.parent) for path in sorted(folder.glob("*/model.json"), reverse=True)]
+    loaded = [load_model(path.parent) for path in sorted(folder.glob("*/model.json"), reverse=True)]
+    models = [model for model in loaded if isinstance(model, TrainedModel)]
     name = "msvr" if any(model.name == "msvr" for model in models) else models[-1].name
     by_group = {model.task.group: model for model in models if model.name == name}
     return [by_group[group] for group in sorted(by_group)]

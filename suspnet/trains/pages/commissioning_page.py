@@ -67,7 +67,7 @@ def write_outcome(
 ) -> None:
     """Write page, numbers (JSON), curves (tables) and figures of a commissioned vehicle.
 
-    If each part is read, `bogie` shows them, and the vehicle is for trips that do not.
+    If each part is read, they are of the `bogie`, and the vehicle has its numbers.
     """
     drawn = {"numbers": number_ranges(words.numbers(outcome))}
     if healthy.groups:
@@ -106,16 +106,15 @@ def as_json(
 ) -> dict[str, Any]:
     """Return all numbers of a commissioned vehicle in SI units, for a file."""
     generator = outcome.generator
-    by_part, of_parts, equal = bogie is not None, [], words.verdict(healthy, outcome)
+    verdict = [words.verdict(healthy, outcome), *healthy.doubts, *words.doubts(outcome)]
     if bogie is not None:
-        of_parts = [words.of_parts(bogie), *words.doubts_of_parts(bogie)]
-        equal = words.as_equal(outcome)
+        verdict = [words.of_parts(bogie), *words.doubts_of_parts(bogie), *healthy.doubts]
     return {
         "suspnet_version": __version__,
         "vehicle": generator.vehicle.name,
         "suspension": _place(healthy),
         "parts": list(generator.parts),
-        "verdict": [*of_parts, equal, *healthy.doubts, *words.doubts(outcome, by_part=by_part)],
+        "verdict": verdict,
         "threshold": INCOMPLETE,
         "n_starts": outcome.n_starts,
         "n_agree": outcome.n_agree,
@@ -133,18 +132,13 @@ def _page(
     drawn: Mapping[str, Figure],
     bogie: CommissionedBogie | None = None,
 ) -> str:
-    by_part = bogie is not None
-    doubts = [*healthy.doubts, *words.doubts(outcome, by_part=by_part)]
-    # where each part is read, the parts come first and the vehicle of equal sides after them
-    of_parts = None
-    if bogie is not None:
-        parts_doubts = words.doubts_of_parts(bogie)
-        of_parts = {
-            "verdict": words.of_parts(bogie),
-            "tone": "notice" if parts_doubts else "good",
-            "sentences": parts_doubts or [words.calm_of_parts()],
-            "threshold": EXPLAINED,
-        }
+    if bogie is None:
+        verdict, threshold = words.verdict(healthy, outcome), INCOMPLETE
+        doubts, calm = [*healthy.doubts, *words.doubts(outcome)], words.agreement(outcome)
+    else:
+        verdict, threshold = words.of_parts(bogie), EXPLAINED
+        doubts = [*healthy.doubts, *words.doubts_of_parts(bogie)]
+        calm = words.calm_of_parts()
     # the numbers below a heading for each part of the vehicle that they describe
     numbers = words.numbers(outcome)
     groups: dict[str, list[dict[str, Any]]] = {}
@@ -158,12 +152,11 @@ def _page(
         title=spoken(Finding("commissioning", name=vehicle.name)),
         headline=_headline(healthy, vehicle.name),
         mileage_km=training_notes(healthy, outcome)["mileage_km"],
-        of_parts=of_parts,
-        reads_equal=bool(healthy.groups),
-        tone="notice" if doubts else "plain" if by_part else "good",
-        verdict=words.as_equal(outcome) if by_part else words.verdict(healthy, outcome),
+        of_parts=bogie is not None,
+        tone="notice" if doubts else "good",
+        verdict=verdict,
         doubts=doubts,
-        agreement="" if doubts or by_part else words.agreement(outcome),
+        agreement="" if doubts else calm,
         reference=words.reference(outcome),
         figures=[
             {
@@ -179,7 +172,7 @@ def _page(
         scale=words.force_scale(vehicle.bogie_mass_kg),
         trips=_trips(healthy, outcome),
         left_out=healthy.left_out,
-        threshold=INCOMPLETE,
+        threshold=threshold,
         details={
             "trips": str(healthy.manifests[0].path.parent),
             N_("parts"): ", ".join(outcome.generator.parts).replace("_", " ")

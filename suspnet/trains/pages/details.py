@@ -7,9 +7,9 @@ from datetime import datetime
 from pathlib import Path
 
 from suspnet._version import __version__
+from suspnet.estimation.bogie_model import BogieModel
+from suspnet.estimation.fitted import FittedMethod, Model
 from suspnet.estimation.from_spectra import trip_settings
-from suspnet.estimation.temperature import DampingByTemperature
-from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import Limits, limits_words
 from suspnet.ground.records import TripResult
@@ -27,7 +27,7 @@ NO_STORE = "with those of a history (store=) the plan of a fleet may give others
 
 def report_details(
     folder: Path,
-    models: Sequence[TrainedModel],
+    models: Sequence[Model],
     results: list[TripResult],
     limits: Mapping[str, Limits],
     level: float,
@@ -55,9 +55,9 @@ def report_details(
         N_("bogie"): together(dict.fromkeys(m.generator.bogie or "any" for m in models), ", "),
         "suspnet": __version__,
         N_("date"): datetime.now().astimezone().isoformat(" ", "seconds"),
-        N_("model"): Finding(
-            "trained", name=first.name, n=first.training.get("n_train", 0), kind=kind
-        ),
+        N_("model"): Finding("commissioned-bogie")
+        if isinstance(first, BogieModel)
+        else Finding("trained", name=first.name, n=first.training.get("n_train", 0), kind=kind),
         N_("speeds"): together(dict.fromkeys(map(speed_words, models)), ", "),
         N_("transfer functions"): Finding(
             "windows", method=trained.method, window=trained.window, segment_s=trained.segment_s
@@ -79,7 +79,7 @@ def missing_reference(results: list[TripResult], n_reference: int | None) -> str
     return Finding("reference-lacks", why=UNKNOWN_HEALTHY, n=n, n_needed=n_reference)
 
 
-def healthy_words(model: TrainedModel) -> str:
+def healthy_words(model: Model) -> str:
     """Return the reference of a model's estimates, as text."""
     notes = model.training.get("commissioned")
     if not notes:
@@ -89,24 +89,26 @@ def healthy_words(model: TrainedModel) -> str:
     if kilometres(first) != kilometres(last):
         ends = {"low": thousands(first), "high": kilometres(last)}
         showed = Finding("showed-between", trips=trips, **ends)
-    law = DampingByTemperature.noted(model.training)
+    law = model.law
     at = Finding("damping-at", celsius=law.healthy_c) if law else ""
     return together((showed, at), ", ")
 
 
-def misfit_words(model: TrainedModel) -> str:
+def misfit_words(model: Model) -> str:
     """Return the misfit of a model's healthy trips, as text."""
+    if isinstance(model, BogieModel):
+        return Finding("misfit-of-parts", misfit=model.bogie.misfit)
     misfit = model.training.get("commissioned", {}).get("misfit")
-    of_equal = "" if misfit is None else Finding("misfit-of-noise", misfit=misfit)
-    if model.bogie is None:
-        return of_equal or "none: the vehicle is that of the drawing, not commissioned"
-    of_parts = Finding("misfit-of-parts", misfit=model.bogie.misfit)
-    of_equal = of_equal and Finding("times-equal", words=of_equal)
-    return together((of_parts, of_equal), ", ")
+    if misfit is None:
+        return "none: the vehicle is that of the drawing, not commissioned"
+    return Finding("misfit-of-noise", misfit=misfit)
 
 
-def _interval_words(model: TrainedModel, level: float) -> str:
+def _interval_words(model: Model, level: float) -> str:
     """Return the source of the intervals, as text."""
+    if isinstance(model, BogieModel):
+        return Finding("intervals-of-posterior", level=100 * level)
+    assert isinstance(model, FittedMethod)
     if model.intervals is None:
         return "none: the model was trained with data.n_calibrate=null"
     return Finding("calibrated", level=100 * level, n_scores=len(model.intervals.conformal.scores))

@@ -20,12 +20,13 @@ from suspnet.curves.cross_spectra import CrossSpectra
 from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.speeds import SpeedRange, Speeds, range_words, reading_range
 from suspnet.curves.welch import SegmentSpectra, Welch
+from suspnet.estimation.bogie_model import BogieModel
 from suspnet.estimation.estimate import Estimate, Flags
-from suspnet.estimation.fitted import FittedMethod
+from suspnet.estimation.fitted import FittedMethod, Model
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.findings import Finding, of, together
-from suspnet.ground.parameters import REVERSE
+from suspnet.ground.parameters import REVERSE, Direction
 from suspnet.ground.types import FloatArray
 from suspnet.trains.spectra.segments import in_band, without_incoherent, without_loud
 from suspnet.trains.spectra.wheel_lines import WheelLine, line_bins
@@ -76,12 +77,12 @@ def reads_at_any_speed(method: FittedMethod) -> bool:
     return method.generator.speed_m_per_s is None
 
 
-def speed_range(method: FittedMethod) -> SpeedRange | None:
-    """Return the range of speeds that a method reads; None means any speed."""
-    speed = method.generator.speed_m_per_s
-    if speed is None:
+def speed_range(model: Model) -> SpeedRange | None:
+    """Return the range of speeds that a model reads; None means any speed."""
+    speed = model.generator.speed_m_per_s
+    if speed is None or isinstance(model, BogieModel):
         return None
-    half_width = trip_settings(method).speed_half_width
+    half_width = trip_settings(model).speed_half_width
     assert half_width is not None  # as the settings are bound
     return SpeedRange.around(speed, half_width)
 
@@ -101,7 +102,7 @@ def groups_of(
     return [group for group in groups if reading_range(group_speed(speeds, group), ranges) == own]
 
 
-def readable_words(models: Sequence[FittedMethod]) -> str:
+def readable_words(models: Sequence[Model]) -> str:
     """Return the speeds that some models read, as text: "the models read 61.0 to 78.0 m/s"."""
     ranges = [one for one in map(speed_range, models) if one is not None]
     kind = "model-reads" if len(models) == 1 else "models-read"
@@ -225,15 +226,16 @@ def steady(
 
 @dataclass(frozen=True)
 class SeenBin:
-    """A group of segments that one method reads, with its spectra.
+    """A group of segments at one speed with its spectra, as one model sees it.
 
-    `spectra` (3, n_freq) on the method's bins and `speed_m_per_s` are means over the `chosen`
+    `spectra` (3, n_freq) on the model's bins and `speed_m_per_s` are means over the `chosen`
     segments (n_segments,). `speeds` are those of the segments. `doubts` are doubts and impossible
     checks of the channels; empty if there are none. `left_out` (n_freq,) are bins with lines of
-    wheels.
+    wheels. `direction` is that of the vehicle that it is compared with, None if it has none.
     """
 
-    method: FittedMethod
+    settings: EstimateSettings
+    direction: Direction | None
     spectra: CrossSpectra
     segments: SegmentSpectra
     chosen: Tensor
@@ -245,7 +247,7 @@ class SeenBin:
     @property
     def is_reverse(self) -> bool:
         """Whether the trip was run in reverse."""
-        return self.method.generator.direction == REVERSE
+        return self.direction == REVERSE
 
 
 Bin = TypeVar("Bin", bound=SeenBin)
@@ -259,6 +261,7 @@ class SpeedBin(SeenBin):
     that is due to the noise of the segments.
     """
 
+    method: FittedMethod
     estimate: Estimate
     noise_share: FloatArray
 

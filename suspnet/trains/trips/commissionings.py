@@ -13,9 +13,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from suspnet.curves.speeds import range_words
-from suspnet.estimation.fitted import ModelFileError
+from suspnet.estimation.fitted import FittedMethod, Model, ModelFileError
 from suspnet.estimation.from_spectra import trip_settings
-from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import BODY_MASS, REVERSE
 from suspnet.ground.records import Commissioning, Place, TripResult
@@ -26,13 +25,13 @@ NAMED = 6
 """Largest number of suspensions that an error names."""
 
 
-def since_km(model: TrainedModel) -> float:
+def since_km(model: Model) -> float:
     """Return the mileage of a model's first healthy trip, [km]; NaN if it is not commissioned."""
     found = model.training.get("commissioned")
     return float(found["mileage_km"][0]) if found else math.nan
 
 
-def eras(models: Sequence[TrainedModel]) -> list[list[TrainedModel]]:
+def eras(models: Sequence[Model]) -> list[list[Model]]:
     """Return the models of each commissioning, the earliest first.
 
     ModelFileError is raised if one model is commissioned and another is not.
@@ -51,7 +50,7 @@ def eras(models: Sequence[TrainedModel]) -> list[list[TrainedModel]]:
     ]
 
 
-def models_at(models: Sequence[TrainedModel], mileage_km: float) -> list[TrainedModel]:
+def models_at(models: Sequence[Model], mileage_km: float) -> list[Model]:
     """Return the models of the latest commissioning that starts at or before a trip.
 
     A trip before all of them is read with the first, one without a mileage with the last.
@@ -61,22 +60,14 @@ def models_at(models: Sequence[TrainedModel], mileage_km: float) -> list[Trained
     return before[-1] if before else all_eras[0]
 
 
-def commissionings(
-    models: Sequence[TrainedModel], results: Sequence[TripResult]
-) -> list[Commissioning]:
+def commissionings(models: Sequence[Model], results: Sequence[TripResult]) -> list[Commissioning]:
     """Return the commissionings that trips were read with; empty if there is at most one."""
     starts = {r.healthy_since_km for r in results}
     used = [era[0] for era in eras(models) if since_km(era[0]) in starts]
     if len(used) < 2:
         return []
-    # of each parameter, and of each part if these are read
     healthy_si = [
-        {
-            name: value
-            for healthy in model.references
-            for name, value in zip(healthy.names, healthy.values.tolist(), strict=True)
-        }
-        for model in used
+        dict(zip(model.healthy.names, model.healthy.values.tolist(), strict=True)) for model in used
     ]
     return [
         Commissioning(
@@ -111,7 +102,7 @@ def _relative_truth(result: TripResult, healthy: Sequence[Mapping[str, float]]) 
     return replace(result, truth=divided(result.truth, medians(healthy, names)))
 
 
-def check_one_reference(models: Sequence[TrainedModel]) -> None:
+def check_one_reference(models: Sequence[Model]) -> None:
     """Raise ValueError for several commissionings: first trips define only one reference."""
     if len(eras(models)) > 1:
         raise ValueError(
@@ -120,7 +111,7 @@ def check_one_reference(models: Sequence[TrainedModel]) -> None:
         )
 
 
-def check_models(models: Sequence[TrainedModel]) -> tuple[str, ...]:
+def check_models(models: Sequence[Model]) -> tuple[str, ...]:
     """Return the outputs of models that can read trips together.
 
     ModelFileError is raised if one was not trained on estimates from trips or needs a measured
@@ -128,9 +119,9 @@ def check_models(models: Sequence[TrainedModel]) -> tuple[str, ...]:
     """
     for model in models:
         trip_settings(model)
-        if model.task.mass_known:
+        if isinstance(model, FittedMethod) and model.task.mass_known:
             raise ModelFileError("models with protocol.mass_known=true cannot read trips")
-    read = [(model.vehicle, model.task.outputs, model.bogie is None) for model in models]
+    read = [(model.vehicle, model.outputs) for model in models]
     if any(one != read[0] for one in read):
         raise ModelFileError(
             "the models of `run` must share vehicle and outputs; give runs of one vehicle"
@@ -138,27 +129,27 @@ def check_models(models: Sequence[TrainedModel]) -> tuple[str, ...]:
     for era in eras(models):
         if len({model.generator.bogie for model in era} - {None}) > 1:
             raise ModelFileError(Finding("both-bogies"))
-        speeds = {(model.generator.speed_m_per_s, model.generator.direction) for model in era}
+        speeds = {(speed_range(model), model.generator.direction) for model in era}
         if len(speeds) < len(era):
             words = together(dict.fromkeys(map(speed_words, era)), ", ")
             raise ModelFileError(Finding("same-speed-twice", words=words))
-    return models[0].task.outputs
+    return models[0].outputs
 
 
-def speed_words(model: TrainedModel) -> str:
+def speed_words(model: Model) -> str:
     """Return the speeds that a model reads, as text."""
     speeds = speed_range(model)
     words = "any" if speeds is None else range_words([speeds])
     return Finding("in-reverse", words=words) if model.generator.direction == REVERSE else words
 
 
-def place_of(model: TrainedModel) -> Place | None:
+def place_of(model: Model) -> Place | None:
     """Return the suspension that a model was commissioned on; None if unknown."""
     noted = model.training.get("commissioned", {}).get("place")
     return Place(**noted) if noted else None
 
 
-def models_of(models: Sequence[TrainedModel], place: Place) -> list[TrainedModel]:
+def models_of(models: Sequence[Model], place: Place) -> list[Model]:
     """Return the models that read a suspension's trips.
 
     If `models` were commissioned on several suspensions, these are the ones of `place`; otherwise

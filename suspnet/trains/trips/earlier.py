@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from suspnet.estimation.checkpoint import fingerprint
-from suspnet.estimation.trained import TrainedModel
+from suspnet.estimation.fitted import Model
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.cache import Cache, code_hash
 from suspnet.ground.parameters import Limits
@@ -52,9 +52,7 @@ class FinishedTrips:
     same sizes and modification times, and models, settings and code are the same.
     """
 
-    def __init__(
-        self, folder: Path, models: Sequence[TrainedModel], settings: TripSettings
-    ) -> None:
+    def __init__(self, folder: Path, models: Sequence[Model], settings: TripSettings) -> None:
         self._cache = Cache(folder / FOLDER, "trip")
         self._common = {
             "models": [fingerprint(model) for model in models],
@@ -93,7 +91,7 @@ class FinishedTrips:
 
 
 def with_earlier(
-    results: Sequence[TripResult], place: Place, models: Sequence[TrainedModel], store: History
+    results: Sequence[TripResult], place: Place, models: Sequence[Model], store: History
 ) -> list[TripResult]:
     """Store a suspension's trips, and return them with those that the store already held.
 
@@ -116,25 +114,18 @@ def with_earlier(
     return [*results, *fitting]
 
 
-def _is_of(result: TripResult, model: TrainedModel) -> bool:
+def _is_of(result: TripResult, model: Model) -> bool:
     """Return whether a trip has the same healthy reference as a model."""
     if not np.isclose(result.healthy_since_km, since_km(model), rtol=0, atol=0, equal_nan=True):
         return False
-    return any(
-        np.allclose(
-            [result.healthy_si.get(name, np.nan) for name in healthy.names],
-            healthy.values,
-            rtol=1e-9,
-            atol=0,
-        )
-        for healthy in model.references
-    )
+    own = [result.healthy_si.get(name, np.nan) for name in model.healthy.names]
+    return bool(np.allclose(own, model.healthy.values, rtol=1e-9, atol=0))
 
 
 def keep_trips(
     results: Sequence[TripResult],
     place: Place,
-    models: Sequence[TrainedModel],
+    models: Sequence[Model],
     limits: Mapping[str, Limits],
     settings: ChangeSettings,
     store: History,
@@ -147,9 +138,8 @@ def keep_trips(
     vehicle = models[0].vehicle.name
     store.write(kept := _kept(results, vehicle))
     references = [
-        Reference(since_km(model), dict(zip(one.names, one.values.tolist(), strict=True)))
-        for model in models
-        for one in model.references
+        Reference(since_km(m), dict(zip(m.healthy.names, m.healthy.values.tolist(), strict=True)))
+        for m in models
     ]
     series, n_others = store.comparable(vehicle, place, references, kept)
     if n_others and (words := LEFT_OUT.format(store, n_others, place)) not in _LOGGED:

@@ -1,4 +1,4 @@
-"""One trip: recording -> segments -> transfer functions in speed bins -> stiffness and damping."""
+"""One trip: recording -> segments -> stiffness and damping, with the quality of the recording."""
 
 from __future__ import annotations
 
@@ -16,19 +16,11 @@ from torch import Tensor
 
 from suspnet.curves.speeds import NoEstimateError
 from suspnet.curves.welch import Welch
-from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.estimate import Estimate
+from suspnet.estimation.fitted import FittedMethod, Model
 from suspnet.estimation.from_spectra import trip_settings
-from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.ground.findings import (
-    NO_PART,
-    WITHOUT_SENSORS,
-    Finding,
-    together,
-    with_values,
-    without,
-)
+from suspnet.ground.findings import WITHOUT_SENSORS, Finding, together, with_values, without
 from suspnet.ground.records import (
     ERROR,
     NO_ESTIMATE,
@@ -42,16 +34,14 @@ from suspnet.ground.records import (
 from suspnet.ground.storage import one_line
 from suspnet.ground.tensors import threads
 from suspnet.ground.types import FloatArray
-from suspnet.trains.identification.bogie_trips import UNEXPLAINED, UnexplainedError
-from suspnet.trains.identification.from_recording import BothWays, at_healthy_temperature, both_ways
-from suspnet.trains.identification.trip_flags import with_sides
+from suspnet.trains.identification.from_recording import read_trip
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.manifest import TripManifest
 from suspnet.trains.recordings.manifest_files import ManifestFile
 from suspnet.trains.recordings.recording import Recording, load_recording, overview
 from suspnet.trains.sensors.sensor_health import sensor_health
 from suspnet.trains.spectra.segments import recording_segments
-from suspnet.trains.spectra.steady_parts import SeenBin, combined, largest
+from suspnet.trains.spectra.steady_parts import SeenBin, largest
 from suspnet.trains.spectra.wheel_lines import wheel_lines, wheel_words
 from suspnet.trains.trips.commissionings import models_at, since_km
 
@@ -59,7 +49,7 @@ log = logging.getLogger(__name__)
 
 
 def evaluate_trip(
-    trip: Path | ManifestFile, models: Sequence[TrainedModel], settings: TripSettings
+    trip: Path | ManifestFile, models: Sequence[Model], settings: TripSettings
 ) -> TripResult:
     """Return a trip's estimate, or the reason why there is none; it never fails.
 
@@ -79,7 +69,7 @@ def evaluate_trip(
 def evaluate_recording(
     manifest: TripManifest,
     read: Callable[[], Recording],
-    models: Sequence[TrainedModel],
+    models: Sequence[Model],
     settings: TripSettings,
 ) -> TripResult:
     """Return the estimate from a trip's recording, or why there is none; it never fails.
@@ -133,7 +123,7 @@ def _in_lines(result: TripResult) -> TripResult:
     return replace(result, place=place, **texts)
 
 
-def _check_measured(manifest: TripManifest, models: Sequence[TrainedModel]) -> None:
+def _check_measured(manifest: TripManifest, models: Sequence[Model]) -> None:
     """Raise TripError if the models were not trained for the trip's vehicle and axle."""
     for name in sorted({model.vehicle.name for model in models} - {manifest.vehicle}):
         raise TripError(
@@ -145,7 +135,7 @@ def _check_measured(manifest: TripManifest, models: Sequence[TrainedModel]) -> N
 
 
 def outcome_of(
-    recording: Recording, models: Sequence[TrainedModel], settings: TripSettings
+    recording: Recording, models: Sequence[Model], settings: TripSettings
 ) -> dict[str, Any]:
     """Return the fields of a result that the recording decides."""
     segments = {welch: recording_segments(recording, welch) for welch in map(_welch, models)}
@@ -161,42 +151,29 @@ def outcome_of(
     }
     pairs = [(model, segments[_welch(model)]) for model in models]
     try:
-        shown = both_ways(pairs, recording, settings)
-    except (TripError, NoEstimateError) as error:  # with the quality, which may show why
-        status = ERROR if isinstance(error, TripError) else NO_ESTIMATE
-        refused = {"status": status, "reason": str(error)}
+        shown = read_trip(pairs, recording, settings)
+    except TripError as error:  # with the quality, which may show why
+        refused = {"status": ERROR, "reason": str(error)}
         return refused | {"start": start, "quality": Quality(**quality)}
-    outcome, misfit = _of_estimate(shown, models[0].bogie, recording)
-    bins = [] if isinstance(shown.bins, NoEstimateError) else shown.bins
-    if bins:
-        quality |= _of_bins(bins, recording)
-    warnings = together((*dict.fromkeys(one.doubts for one in bins), _of_parts(shown.parts)))
+    if shown.bins:
+        quality |= _of_bins(shown.bins, models[0], recording)
+    estimate, misfit, lost = shown.estimate, np.nan, ""
+    if isinstance(estimate, NoEstimateError):
+        outcome = {"status": NO_ESTIMATE, "reason": str(estimate)}
+    else:
+        outcome, misfit, lost = _of_estimate(estimate), estimate.misfit, _without(estimate)
+    warnings = together((*shown.doubts, lost))
     return outcome | {
         "start": start,
         "quality": Quality(**quality, misfit=misfit, warnings=warnings),
-        "curves": _curves(largest(bins), recording) if bins else None,
+        "curves": _curves(largest(shown.bins), recording) if shown.bins else None,
     }
 
 
-def _of_estimate(
-    shown: BothWays, bogie: CommissionedBogie | None, recording: Recording
-) -> tuple[dict[str, Any], float]:
-    """Return the fields of a result that its estimate decides, and the estimate's misfit.
-
-    It is the estimate of each part if the trip shows them, else that of both sides as equal.
-    """
-    sides = worn = unexplained = ""
-    if isinstance(shown.parts, Estimate):
-        assert bogie is not None  # whose parts these are
-        estimate, healthy, worn = shown.parts, bogie.healthy, shown.parts.found
-    else:
-        unexplained = UNEXPLAINED if isinstance(shown.parts, UnexplainedError) else ""
-        if isinstance(shown.bins, NoEstimateError):
-            reason = {"status": NO_ESTIMATE, "reason": str(shown.bins)}
-            return reason | {"flags": unexplained}, np.nan
-        equal, sides = with_sides(combined(shown.equal), shown.equal, recording)
-        estimate = at_healthy_temperature(shown.equal[0].method, equal, recording)
-        healthy = largest(shown.equal).method.healthy
+def _of_estimate(estimate: Estimate) -> dict[str, Any]:
+    """Return the fields of a result that its estimate decides."""
+    healthy = estimate.healthy
+    assert healthy is not None
 
     def by_name(values: FloatArray) -> dict[str, float]:
         return dict(zip(estimate.names, values.tolist(), strict=True))
@@ -208,26 +185,23 @@ def _of_estimate(
         "half_widths": by_name(estimate.half_widths[0]),
         "healthy_si": by_name(healthy.values),
         "healthy_half_widths": by_name(healthy.half_widths(estimate.level)),
-        "flags": together((estimate.flags.reasons[0], unexplained)),
-        "sides": sides,
-        "worn": worn,
-    }, estimate.misfit
+        "flags": estimate.flags.reasons[0],
+        "worn": estimate.found,
+    }
 
 
-def _of_parts(parts: Estimate | NoEstimateError | None) -> str:
-    """Return a warning if no part was read, or if some sensors were not used; else empty."""
-    if isinstance(parts, NoEstimateError):
-        return Finding(NO_PART, words=str(parts))
-    if parts is not None and parts.lost:
-        return Finding(WITHOUT_SENSORS, names=parts.lost, listed=together(parts.lost, ", "))
-    return ""
+def _without(estimate: Estimate) -> str:
+    """Return a warning if some sensors were not used; else empty."""
+    if not estimate.lost:
+        return ""
+    return Finding(WITHOUT_SENSORS, names=estimate.lost, listed=together(estimate.lost, ", "))
 
 
-def _welch(model: TrainedModel) -> Welch:
+def _welch(model: Model) -> Welch:
     return trip_settings(model).welch
 
 
-def _of_bins(bins: Sequence[SeenBin], recording: Recording) -> dict[str, Any]:
+def _of_bins(bins: Sequence[SeenBin], model: Model, recording: Recording) -> dict[str, Any]:
     """Return what bins of speed add to the quality: averages over them, by their averages.
 
     Bins may overlap: a segment that two models read counts once.
@@ -239,7 +213,10 @@ def _of_bins(bins: Sequence[SeenBin], recording: Recording) -> dict[str, Any]:
         for weight, one in zip(weights, bins, strict=True)
     )
     used = _used(bins)
-    n_features = len(bins[0].method.task.extractor.names)
+    features = ""
+    if isinstance(model, FittedMethod):
+        n_features = len(model.task.extractor.names)
+        features = f"{n_features} of {n_features}"
     return {
         "coherence_p": float(coherence[0]),
         "coherence_s": float(coherence[1]),
@@ -251,8 +228,8 @@ def _of_bins(bins: Sequence[SeenBin], recording: Recording) -> dict[str, Any]:
             f"{one.spectra.n_averages:.0f} averages"
             for one in bins
         ),
-        "direction": largest(bins).method.generator.direction or recording.manifest.direction or "",
-        "features_found": f"{n_features} of {n_features}",
+        "direction": largest(bins).direction or recording.manifest.direction or "",
+        "features_found": features,
     }
 
 
@@ -266,7 +243,7 @@ def _used(bins: Sequence[SeenBin]) -> dict[Welch, int]:
 
 
 def _curves(best: SeenBin, recording: Recording) -> TripCurves:
-    method = trip_settings(best.method).method
+    method = best.settings.method
     seen = overview(recording)
     return TripCurves(
         frequencies_hz=best.segments.frequencies_hz.numpy(),
