@@ -246,7 +246,7 @@ def test_models_of_the_schema_before_are_read(saved):
         ("[]", "not a suspnet model"),
         ('{"a": 1}', "not a suspnet model"),
         ('{"schema_version": 99}', "schema version 99"),
-        ('{"schema_version": 2}', "schema version 2, this suspnet reads 8 to 9; train again"),
+        ('{"schema_version": 2}', "schema version 2, this suspnet reads 8 to 10; train again"),
     ],
 )
 def test_foreign_description_is_rejected(saved, content, message):

@@ -10,6 +10,7 @@ import torch
 from vehicles import AM96
 
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
+from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.ground.parameters import COMPONENTS, FORWARD, REVERSE
 from suspnet.trains.fits import bogie_search
 from suspnet.trains.fits.bogie_fit import ALIGNED, EXPLAINED, commission_bogie, fit_parts
@@ -338,6 +339,45 @@ def test_healthy_trips_show_the_vehicle(commissioned):
     found = commissioned.generator.distribution
     z = (np.log(found.median) - np.log(true_vehicle()[0].numpy())) / found.deviations
     assert np.sqrt(np.mean(z**2)) < 2.5
+
+
+def test_healthy_trips_of_different_temperatures_show_the_slopes_of_damping(commissioned):
+    slopes, temperatures_c = (-0.008, -0.001), (-5.0, 15.0, 35.0, None)
+    trips = []
+    for i, celsius in enumerate(temperatures_c):
+        warmer = 0.0 if celsius is None else celsius - 15.0
+        parts = {
+            name: math.exp(slopes[name[2] == "s"] * warmer) for name in COMPONENTS if name[0] == "c"
+        }
+        whole = row(parts, MASSES[i % 3])
+        for name, slope in zip(("other_c_p", "other_c_s"), slopes, strict=True):
+            whole[0, VEHICLE.columns.index(name)] *= math.exp(slope * warmer)
+        trips.append(trip(drawn(VEHICLE, whole, i), 70.0))
+    found = commission_bogie(VEHICLE, trips, temperatures_c)
+    assert found.misfit == pytest.approx(1, abs=0.1)
+    assert found.law.healthy_c == 15.0
+    np.testing.assert_allclose(found.law.slopes, slopes, atol=3e-4)
+    assert max(found.law.deviations) < 2e-4
+    np.testing.assert_allclose(found.masses, (*MASSES, MASSES[0]), rtol=0.02)
+    # without their temperatures the trips are not explained, and equal ones tell no slope
+    assert commission_bogie(VEHICLE, trips).misfit > 1.2
+    alike = commission_bogie(VEHICLE, trips[1:2] * 3, [20.0] * 3)
+    assert alike.law == DampingByTemperature(20.0)
+    assert commissioned.law is None
+
+
+def test_derivatives_by_the_slopes_are_those_of_differences():
+    trips = [trip(drawn(VEHICLE, row({}, mass), i), 70.0) for i, mass in enumerate(MASSES)]
+    fit = BogieSearch(VEHICLE, [NOISE] * 3, trips, are_healthy=True, warmer=(-10.0, 0.0, 10.0))
+    x = fit.start() + 0.1
+    misfits = fit._misfits(0.0, fit.all_bins)
+    jacobian = fit._jacobian(x, misfits, fit.all_bins)
+    for column in range(fit.n_numbers, fit.n_shared + 1):
+        step = 1e-5 * np.eye(len(x))[column]
+        ends = [fit._residuals(x + sign * step, misfits, fit.all_bins) for sign in (1, -1)]
+        difference = (ends[0] - ends[1]) / 2e-5
+        scale = np.abs(difference).max()
+        np.testing.assert_allclose(jacobian[:, column], difference, atol=1e-5 * scale)
 
 
 @pytest.mark.parametrize(

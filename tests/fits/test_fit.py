@@ -15,7 +15,8 @@ from vehicles import AM96
 from suspnet.curves.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
 from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.speeds import Speeds
-from suspnet.trains.fits.commissioning import N_STARTS, commission
+from suspnet.estimation.commissioned_bogie import CommissionedBogie
+from suspnet.trains.fits.commissioning import N_STARTS, as_bogie, commission
 from suspnet.trains.fits.healthy_misfit import HealthyMisfit, HealthySpectra
 from suspnet.trains.fits.vehicle_search import FAR, REDRAWN, End, VehicleSearch
 from suspnet.trains.simulation.true_vehicle import scattered
@@ -244,19 +245,22 @@ def test_a_valley_that_several_searches_found_is_followed_once(bushed, monkeypat
     assert (len(followed), found.n_agree, found.n_starts) == (2, 3, 3)
 
 
-def test_near_the_bogie_of_the_same_trips_one_search_finds_the_vehicle_that_all_find(bushed):
+def test_with_the_numbers_of_a_bogie_the_curves_are_those_of_its_vehicle(bushed):
     generator, numbers, groups, commissioned = bushed
     known = dict(zip(generator.distribution.names, np.log(numbers), strict=True))
-    of_parts = LogNormal.independent(
-        {"healthy_k_p": 0.1, "healthy_c_p": 0.1, "gain_body_left": 0.1}
-    )
-    of_parts = replace(of_parts, mean=tuple(known.get(name, 0.0) for name in of_parts.names))
-    bogie = SimpleNamespace(generator=SimpleNamespace(distribution=of_parts), masses=np.array(TWO))
-    near = commission(generator, SETTINGS, groups, near=bogie)
-    assert near.n_starts == 1
-    assert near.misfit == pytest.approx(commissioned.misfit, rel=1e-3)
-    apart = np.array(near.posterior.mean) - np.array(commissioned.posterior.mean)
-    assert np.abs(apart / commissioned.posterior.deviations).max() < 0.1
+    covariance = 0.01 * np.eye(len(known))
+    names, means = (*known, "conicity"), (*known.values(), 0.5)
+    of_parts = LogNormal(names, means, np.eye(len(names)) / 100)
+    spatial = SimpleNamespace(distribution=of_parts)
+    bogie = CommissionedBogie(spatial, None, np.array(TWO), 1.2, True)
+    found = as_bogie(generator, SETTINGS, groups, bogie)
+    assert found.posterior.names == generator.distribution.names
+    np.testing.assert_allclose(found.posterior.mean, list(known.values()))
+    np.testing.assert_allclose(found.posterior.covariance, covariance)
+    assert (found.misfit, found.converged, found.n_starts) == (1.2, True, 0)
+    np.testing.assert_array_equal(found.observed, commissioned.observed)
+    np.testing.assert_allclose(found.nominal, commissioned.nominal, rtol=0.05)
+    assert max(found.misfits) < 1.3  # these are the numbers that the trips were drawn with
 
 
 def test_posterior_is_the_closed_form_of_the_problem_linearised_there(bushed):

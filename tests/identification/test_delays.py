@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from vehicles import AM96
 
-from suspnet.trains.identification.trip_flags import EXPLAINED, find_delays
+from suspnet.trains.identification.delays import EXPLAINED, find_delays
 from suspnet.vehicle import VerticalVehicle
 
 HERTZ = torch.arange(0.6, 20.0, 0.05, dtype=torch.float64)

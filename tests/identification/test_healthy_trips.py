@@ -107,7 +107,7 @@ def test_a_trip_that_shows_its_parts_without_a_sensor_only_is_left_out(
         return SimpleNamespace(lost=lost.get(recording.manifest.name, ()))
 
     monkeypatch.setattr("suspnet.trains.identification.healthy_trips.bogie_trip", by_part)
-    found = read(tmp_path, by_part=True)
+    found = read(tmp_path)
     kept = [one.name for one in found.manifests]
     assert len(found.of_parts) == len(kept) == 3
     assert not {"second", "fourth"} & set(kept)
@@ -219,7 +219,7 @@ def test_trips_of_several_suspensions_are_refused(place, folder):
 
 def test_sensors_that_differ_between_trips_are_refused(folder):
     with_pairs(folder / "first.yaml")
-    with pytest.raises(TripError, match="sensors left and right where others have one"):
+    with pytest.raises(TripError, match="healthy trips differ in their sensors"):
         read(folder)
 
 

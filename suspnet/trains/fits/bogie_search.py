@@ -143,8 +143,14 @@ class BogieSearch:
 
         Those of the other bogie warm as those of the measured one do.
         """
-        kinds = [kind_of(name.removeprefix("other_")) for name in self.generator.columns]
-        return np.array([[kind == damping for kind in kinds] for damping in DAMPINGS], float)
+        columns = self.generator.columns
+        return np.array(
+            [
+                [kind_of(name) == damping or name == f"other_{damping}" for name in columns]
+                for damping in DAMPINGS
+            ],
+            float,
+        )
 
     @property
     def _own_ties(self) -> FloatArray:

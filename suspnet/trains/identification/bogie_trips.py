@@ -46,6 +46,8 @@ SEGMENTS_S = (120.0, 60.0, 40.0)
 """Lengths of segments, the first of which gives enough averages. The leakage of a Hann window of
 20 s leaves a misfit of 4 to 7, of 60 s 1.4 and of 120 s 1.05 (stepped trips of 20 minutes of the
 tests' rich train)."""
+MIN_AVERAGES = 10
+"""Averages that shorter segments than the first must exceed."""
 LOW_HZ, HIGH_HZ = 0.5, 18.0
 """Ends of the band: below, accelerometers drift; above, frame and body have modes of their own."""
 SPACING_HZ = 0.1
@@ -142,7 +144,9 @@ def _trip_of_all(
     groups = groups_to_read(speeds, settings.speed_tolerance, settings.min_speed_m_per_s)
     chosen = without_loud(segments, groups[0]) if groups else torch.zeros(0, dtype=torch.bool)
     n_chosen = int(chosen.sum())
-    if not n_chosen or segments.welch.n_averages(n_chosen) <= n_sensors + 1:
+    # shorter segments leak, so that fewer averages are no gain
+    least = n_sensors + 1 if segment_s == SEGMENTS_S[0] else max(n_sensors + 1, MIN_AVERAGES)
+    if not n_chosen or segments.welch.n_averages(n_chosen) <= least:
         raise NoEstimateError(_too_short(n_chosen, n_sensors, segment_s))
     bins = _bins(segments.frequencies_hz, segment_s)
     matrix = SpectralMatrix.of(segments, chosen).at(bins).of_sensors(order)
@@ -180,7 +184,7 @@ def _lost_sensors(recording: Recording, generator: SpatialVehicle) -> tuple[str,
 
 
 def _too_short(n_segments: int, n_sensors: int, segment_s: float) -> str:
-    least = math.nextafter(n_sensors + 1, math.inf)  # more than one beyond the sensors
+    least = math.nextafter(max(n_sensors + 1, MIN_AVERAGES), math.inf)
     return Finding(
         "too-short-for-parts",
         n_sensors=n_sensors,

@@ -132,7 +132,7 @@ def write_report(
     # remarks on the trips, each a sentence or empty
     doubts, unread = _doubts(trips), _unread(trips)
     wheels, dead = wheels_finding(trips), failing_words(trips)
-    sides = worn_finding(trips) or sides_finding(trips)
+    worn = worn_finding(trips)
     table = trip_table(trips, report.outputs, report.level)
     # captions explain intervals and flags only where there are any
     shown = {
@@ -141,7 +141,7 @@ def write_report(
     }
     alarms = sorted(state.watched.alarms, key=lambda a: (not a.is_open, -a.severity, a.begin_km))
     tone = SEVERITIES[severity][0]
-    remarks = (doubts, unread, findings, sides, wheels, dead)
+    remarks = (doubts, unread, findings, worn, wheels, dead)
     page = render(
         "report.html",
         title=title,
@@ -152,7 +152,7 @@ def write_report(
         finding=finding,
         doubts=doubts,
         unread=unread,
-        sides=sides,
+        worn=worn,
         wheels=wheels,
         dead=dead,
         findings=findings,
@@ -200,15 +200,6 @@ def named_first(assessments: Sequence[Assessment], trips: Sequence[TripResult]) 
         return text
     where = gettext("suspension %(name)s") % {"name": "; ".join(places)}
     return f"{text} ({where})"
-
-
-def sides_finding(trips: Sequence[TripResult]) -> str:
-    """Return a sentence on the two sides, from the last trips; empty without a finding.
-
-    `trips` are in the order of the mileage.
-    """
-    on, words = _on_last(trips, "sides")
-    return words and Finding("sides-differ", trips=on, words=words)
 
 
 def worn_finding(trips: Sequence[TripResult]) -> str:
