@@ -40,7 +40,7 @@ from suspnet.ground.tensors import threads
 from suspnet.runs.predict import N_COST, WORN
 from suspnet.trains.fits.bogie_fit import commission_bogie, fit_parts
 from suspnet.trains.fits.commissioning import Commissioned
-from suspnet.trains.identification.bogie_trips import SEGMENT_S, bogie_trip, bogie_vehicle
+from suspnet.trains.identification.bogie_trips import SEGMENTS_S, bogie_trip, bogie_vehicle
 from suspnet.trains.identification.healthy_trips import read_healthy
 from suspnet.trains.jobs.commissioning import FAMILY, commission_trips
 from suspnet.trains.spectra.bogie_trip import BogieTrip
@@ -283,18 +283,14 @@ def read_case(case, options, folder):
     is_of_three = case.layout in ("one side", "pairs")
     for way, parts in [TIED[key] for key in options.ways if is_of_three and key in TIED]:
         vehicle = middle_vehicle(case, parts)
-        segment_s = options.segment_s or (SEGMENT_S if case.minutes >= LONG else SEGMENT_S / 2)
+        segment_s = options.segment_s or SEGMENTS_S[case.minutes < LONG]
         trips = [matrix_trip(one, vehicle, segment_s, options.spacing_hz) for one in recordings]
         rows += by_matrices(case, trips, vehicle, worn, {way: True})
         merged(rows, options.output)
     if case.layout != "one side" and "parts" in options.ways:
         manifests = [one.manifest for one in recordings]
         vehicle = bogie_vehicle(manifests, suspnet.VerticalVehicle(suspnet.read_vehicles()["am96"]))
-        # bogie_trip gives no estimate from short trips: segments of 120 s are too few
-        if case.minutes < LONG:
-            trips = [matrix_trip(one, vehicle, SHORT_S, options.spacing_hz) for one in recordings]
-        else:
-            trips = [bogie_trip(one, vehicle) for one in recordings]
+        trips = [bogie_trip(one, vehicle) for one in recordings]
         ways = {"each part": False, "tied, all sensors": True}
         rows += by_matrices(case, trips, vehicle, worn, ways)
         merged(rows, options.output)

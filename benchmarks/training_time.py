@@ -36,13 +36,13 @@ ROOT = TESTS.parent
 RESULTS = TESTS.parent / "benchmarks" / "results"
 MASSES = (0.95, 1.1, 1.0, 1.2, 1.05, 1.15, 0.9, 1.08)
 TIMED = {
-    "5 trips at 70 m/s": ("all", 5, "trips"),
-    "8 trips at 48 to 78 m/s": ("all, 48 to 78 m/s", 8, "trips"),
-    "5 trips, physics that does not fit": ("all+second_bending", 5, "trips"),
-    "5 trips at 70 m/s, each part": ("all", 5, "components"),
-    "8 trips at 48 to 78 m/s, each part": ("all, 48 to 78 m/s", 8, "components"),
+    "5 trips at 70 m/s": ("all", 5, "mean"),
+    "8 trips at 48 to 78 m/s": ("all, 48 to 78 m/s", 8, "mean"),
+    "5 trips, physics that does not fit": ("all+second_bending", 5, "mean"),
+    "5 trips at 70 m/s, each part": ("all", 5, "pair"),
+    "8 trips at 48 to 78 m/s, each part": ("all, 48 to 78 m/s", 8, "pair"),
 }
-"""Case of foreign_trains.py, number of trips and protocol."""
+"""Case of foreign_trains.py, number of trips, and sensors: pairs show each part."""
 
 
 def main():
@@ -67,7 +67,7 @@ def main():
 
 def timed(name, seed, options):
     """Return the seconds of one training."""
-    case_name, n_trips, protocol = TIMED[name]
+    case_name, n_trips, sides = TIMED[name]
     case = CASES[case_name]
     with tempfile.TemporaryDirectory() as temporary:
         trips = Path(temporary) / "trips"
@@ -75,15 +75,15 @@ def timed(name, seed, options):
         ratios[:, 4] = MASSES[:n_trips]
         fleet = Fleet(n_trips=n_trips, minutes=options.minutes, sensors=SENSORS)
         speeds = case.speeds_of(n_trips, 0, seed)
-        write_train_trips(trips, case.train(seed), ratios, fleet, seed, "pair", speeds)
+        write_train_trips(trips, case.train(seed), ratios, fleet, seed, sides, speeds)
         given = [
-            *("experiment=trips", f"protocol={protocol}", "vehicle=am96", f"healthy={trips}"),
+            *("experiment=trips", "vehicle=am96", f"healthy={trips}"),
             *(f"data.minutes={options.minutes}", f"data.cache_dir={temporary}/cache"),
             *("progress=false", *options.settings),
         ]
         if case.speeds is not None:
             given.append("speed_m_per_s=null")
-        stages = stages_of(given, trips, protocol)
+        stages = stages_of(given, trips)
         start = time.perf_counter()
         command = [sys.executable, str(ROOT / "train.py"), *given, f"hydra.run.dir={temporary}/run"]
         subprocess.run(command, check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
@@ -94,28 +94,24 @@ def timed(name, seed, options):
 
 
 @threads(1)
-def stages_of(given, trips, protocol):
+def stages_of(given, trips):
     """Return the seconds of reading the trips and of each fit, and the misfit of the last one."""
     with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
         config = compose("train", overrides=[*given, "speed_m_per_s=70"])
-    generator, settings, by_part = (
-        build(config, "generator"),
-        build(config, "data"),
-        protocol[0] == "c",
-    )
+    generator, settings = build(config, "generator"), build(config, "data")
     times = [time.perf_counter()]
     bound = settings.bound(generator.vehicle)
-    found = read_healthy(trips, generator, bound, TripSettings(), by_part=by_part)
+    found = read_healthy(trips, generator, bound, TripSettings())
     times.append(time.perf_counter())
-    bogie = commission_parts(found, TripSettings()) if by_part else None
+    bogie = commission_parts(found, TripSettings()) if found.vehicle else None
     times.append(time.perf_counter())
     outcome = commission_trips(found, generator, settings, bogie=bogie)
     times.append(time.perf_counter())
     read_s, parts_s, equal_s = np.diff(times)
     return {
         "reading, s": f"{read_s:.1f}",
-        "fit of the parts, s": f"{parts_s:.1f}" if by_part else "-",
-        "fit of equal sides, s": f"{equal_s:.1f}",
+        "fit of the parts, s": f"{parts_s:.1f}" if bogie else "-",
+        "fit of equal sides, s": "-" if bogie else f"{equal_s:.1f}",
         "misfit": f"{bogie.misfit if bogie else outcome.misfit:.2f}",
     }
 

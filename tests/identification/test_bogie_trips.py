@@ -304,7 +304,7 @@ def test_without_a_channel_both_sides_as_equal_are_not_read():
     method = FittedMethod("none", None, None, generator, estimates, np.zeros(0))
     found = read_trip([(method, segments)], recording, settings)
     assert isinstance(found.estimate, NoEstimateError)
-    assert "no sensor at axle 1 gives body; the springs" in str(found.estimate)
+    assert "no sensor at axle 1 gives body; both sides as equal" in str(found.estimate)
     with pytest.raises(TripError, match="without a sensor on body the phases do not show"):
         direction_of(recording, segments, VerticalVehicle(AM96), settings)
     health = sensor_health(recording, VerticalVehicle(AM96), Welch(20.0))
