@@ -27,7 +27,7 @@ from suspnet.curves.problem import TEST
 from suspnet.curves.speeds import NoEstimateError
 from suspnet.runs.fit import fit
 from suspnet.runs.predict import calibrated, predict_stream
-from suspnet.trains.identification.from_recording import both_ways
+from suspnet.trains.identification.from_recording import read_trip
 from suspnet.trains.spectra.segments import recording_segments
 
 SETTINGS = CurveSettings(300, 120, 300, low_hz=0.3, high_hz=12.0, step_hz=0.04, cache_dir=None)
@@ -147,7 +147,7 @@ def test_trips_are_read_with_the_public_tfestimate():
     recording = load_recording(read_manifest(path), 100.0)
     model, welch = model_at(), suspnet.Welch()
     segments = recording_segments(recording, welch)
-    (found,) = both_ways([(model, segments)], recording, TripSettings()).equal
+    (found,) = read_trip([(model, segments)], recording, TripSettings()).bins
     assert found.chosen.all()
     axle_box, bogie, body = recording.signals
     links = [(axle_box, bogie, body), (bogie, body, axle_box)]

@@ -42,9 +42,9 @@ class HealthySettings:
     """Numbers of a training on healthy trips."""
 
     n_healthy: int | None = setting(
-        None,
-        "Number of the first trips of each suspension by mileage that are used, or {NAME: number} "
-        "of several; null is all",
+        5,
+        "Number of the first trips of each suspension by mileage that are taken as healthy, or "
+        "{NAME: number} of several; null is all",
         low=LEAST_TRIPS,
     )
     workers: int = setting(

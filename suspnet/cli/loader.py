@@ -25,6 +25,7 @@ from hydra.plugins.config_source import ConfigResult
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
+from suspnet.cli import presets
 from suspnet.cli.config_files import CONFIGS, read_settings
 from suspnet.depot.live.broker import HOST_VARIABLE
 
@@ -197,6 +198,10 @@ class CheckedLoader(ConfigLoaderImpl):
             raise ValueError(
                 "`hydra.searchpath` cannot be set; name your folder with --config-dir FOLDER"
             )
+        if config_name == "train":
+            values = {one.key_or_group: one.input_line.partition("=")[2] for one in parsed}
+            vehicles = self.repository.get_group_options("vehicle")
+            overrides = [*overrides, *presets.of_healthy(values, vehicles, self._vehicle_name)]
         theirs = [source for source in self.get_sources() if isinstance(source, _TheirFolder)]
         for source in theirs:
             source.brokers = {
@@ -215,6 +220,10 @@ class CheckedLoader(ConfigLoaderImpl):
             for job in BasicSweeper.split_arguments(all_of_them, None)[0]:
                 self.load_sweep_config(config, job)
         return config
+
+    def _vehicle_name(self, option: str) -> str | None:
+        result = self.repository.load_config(f"vehicle/{option}")
+        return None if result is None else OmegaConf.select(result.config, "name")
 
     def load_sweep_config(
         self, master_config: DictConfig, sweep_overrides: list[str]

@@ -41,6 +41,7 @@ from suspnet.runs.language import check_language, speaking
 from suspnet.runs.scores import Metrics
 from suspnet.runs.train import RunContext, speed_ranges, train, train_ranges
 from suspnet.runs.tube import write_tube
+from suspnet.trains.identification.commissioning_summary import usable_minutes
 from suspnet.trains.identification.healthy_trips import read_healthy
 from suspnet.trains.jobs.commissioning import (
     check_generator,
@@ -133,6 +134,9 @@ def _run(
         speeds = covering(healthy.speeds_m_per_s, _half_width(config))
         ends = (f"{of(healthy.speeds_m_per_s):.1f}" for of in (min, max))
         log.info("healthy trips at %s m/s: %s", span(*ends), setting_words(speeds))
+    if healthy is not None and config.data.minutes is None:
+        config.data.minutes = healthy.minutes
+        log.info("healthy trips have about %g usable minutes: so do training's", healthy.minutes)
     directions = _directions(config, healthy)
     train_one = partial(_train, healthy=healthy, varied=varied, draw=draw)
     if not isinstance(speeds, ListConfig | list) and len(directions) == 1:
@@ -164,13 +168,14 @@ def _study_tube(config: DictConfig, folder: Path) -> None:
 
 
 def _at_a_speed(config: DictConfig) -> DictConfig:
-    """Return a configuration with a single speed, before healthy trips have shown theirs."""
-    if isinstance(config.speed_m_per_s, ListConfig):
-        return _bound(config, _ranges(config, config.speed_m_per_s)[0])
-    if config.speed_m_per_s is not None:
-        return config
+    """Return a configuration with one speed and length, before healthy trips have shown theirs."""
     own = config.copy()
-    own.speed_m_per_s = FIRST_M_PER_S
+    if "minutes" in own.data and own.data.minutes is None:
+        own.data.minutes = EstimateSettings.minutes
+    if isinstance(own.speed_m_per_s, ListConfig):
+        return _bound(own, _ranges(own, own.speed_m_per_s)[0])
+    if own.speed_m_per_s is None:
+        own.speed_m_per_s = FIRST_M_PER_S
     return own
 
 
@@ -228,13 +233,14 @@ class _Healthy:
     residual: Residual | None
     speeds_m_per_s: tuple[float, ...]
     directions: tuple[Direction, ...]
+    minutes: float
 
 
 def _check_healthy(config: DictConfig) -> EstimateSettings:
     """Return the settings of estimates from healthy trips; ValueError if `data` reads no trips."""
     settings = build(config, "data")
     if not isinstance(settings, EstimateSettings):
-        raise ValueError("healthy= is for models that read trips: experiment=trips")
+        raise ValueError("healthy= is for models that read trips: leave experiment= out")
     return settings
 
 
@@ -275,6 +281,7 @@ def _commissioned(
         outcome.residual,
         healthy.speeds_m_per_s,
         healthy.directions,
+        float(f"{usable_minutes(healthy, settings):.2g}"),
     )
 
 

@@ -23,8 +23,6 @@ PROTOCOLS = {
     "joint": ("all",),
     "trips": ("all",),
 }
-SAME_MODEL = {"components"}
-"""Protocols that train the model of `trips`; the parts are read without it."""
 SMALL = ["data.n_train=200", "data.n_test=100", "data.n_calibrate=200", "data.step_hz=0.08"]
 
 
@@ -53,7 +51,7 @@ def trained(model, protocol, group, cache, folder, *overrides, residual=None):
 
 
 def test_every_protocol_is_tried():
-    assert set(PROTOCOLS) | SAME_MODEL == {
+    assert set(PROTOCOLS) == {
         file.stem for file in (CONFIGS / "protocol").glob("*.yaml")
     }
 

@@ -326,18 +326,6 @@ def test_dead_and_failing_sensors_are_named(tmp_path):
     assert "bogie right, body left (on 2 of the last 2 trips)" in failing_words(results)
 
 
-def test_weaker_side_is_told_above_and_in_the_table(tmp_path):
-    words = "primary spring: the left side is weaker (about 20 %)"
-    _, page = write(tmp_path / "report.html", [trip(0), trip(1, sides=words, flags=words)])
-    assert "Left and right differ on 1 of the last 2 trips; on trip_001: primary" in page.text
-    assert (
-        page.text.replace("\N{NO-BREAK SPACE}", " ").count(words) == 4
-    )  # and as the flag's reason, also on a phone
-    assert "\u25d0 Sides" in page.text
-    _, page = write(tmp_path / "plain.html", [trip(0)])
-    assert "\u25d0" not in page.text
-
-
 def test_alarms_and_remaining_life_are_shown(tmp_path):
     results = fleet(6, missing=(), with_curves=False)
     alarms = [

@@ -33,8 +33,6 @@ IDENTIFIED = 0.8
 """A number is identified if the trips reduce its deviation below this fraction of the prior's."""
 NARROW = 0.5
 """Largest standard deviation over the median for which a number is written with plus and minus."""
-SIMILAR = 1.5
-"""Factor between the minutes of healthy trips and of training above which a sentence reports it."""
 ODD_MASS = 2.0
 """Deviations of the prior of a trip's mass beyond which the vehicle file's is to be checked."""
 MOST_CHANGE = 10.0
@@ -169,17 +167,10 @@ def unplaced(found: HealthyTrips) -> str | None:
     return Finding("sensors-unplaced", names=together(names, ", "))
 
 
-def other_minutes(found: HealthyTrips, settings: EstimateSettings) -> str | None:
-    """Return a sentence if the trips for training are far longer or shorter than these."""
+def usable_minutes(found: HealthyTrips, settings: EstimateSettings) -> float:
+    """Return about how many minutes of a trip are usable at one speed."""
     usual = float(np.median([group.spectra.n_averages for group in found.groups]))
-    share = usual / settings.n_averages
-    if 1 / SIMILAR <= share <= SIMILAR:
-        return None
-    minutes = settings.minutes * share
-    return (
-        f"The healthy trips have about {minutes:.2g} usable minutes at one speed, models are "
-        f"trained for {settings.minutes:g}: data.minutes={minutes:.2g} would suit them better."
-    )
+    return settings.minutes * usual / settings.n_averages
 
 
 def verdict(found: HealthyTrips, outcome: Commissioned) -> str:

@@ -150,10 +150,10 @@ def _of_equal_sides(
         return TripReading(NoEstimateError(no_channel(recording)))
     try:
         pairs = of_direction(pairs, recording, settings)
+        methods = [method for method, _ in pairs]
+        found = [_groups_read(*pair, recording, settings, methods) for pair in pairs]
     except NoEstimateError as reason:
         return TripReading(reason)
-    methods = [method for method, _ in pairs]
-    found = [_groups_read(*pair, recording, settings, methods) for pair in pairs]
     bins = [one for groups in found for one in groups if isinstance(one, SpeedBin)]
     if not bins:  # the first reason of each method
         reasons = dict.fromkeys(str(groups[0]) for groups in found if groups)

@@ -64,8 +64,6 @@ def commission_trips(
     if not words.is_explained(outcome) and not any(generator.sensor_lateral_m):
         if hint := words.unplaced(healthy):
             log.warning("%s", hint)
-    if hint := words.other_minutes(healthy, settings):
-        log.info("%s", hint)
     return outcome
 
 
