@@ -39,5 +39,6 @@ def _vehicle_in(folder: Path) -> str | None:
     with suppress(OSError, ValueError):
         for place in (folder, *sorted(path for path in folder.iterdir() if path.is_dir())):
             with suppress(OSError, ValueError):
-                return ManifestFile(find_manifests(place)[0]).trip.vehicle
+                content = ManifestFile(find_manifests(place)[0]).content
+                return content.get("vehicle") if isinstance(content, dict) else None
     return None

@@ -51,9 +51,7 @@ def trained(model, protocol, group, cache, folder, *overrides, residual=None):
 
 
 def test_every_protocol_is_tried():
-    assert set(PROTOCOLS) == {
-        file.stem for file in (CONFIGS / "protocol").glob("*.yaml")
-    }
+    assert set(PROTOCOLS) == {file.stem for file in (CONFIGS / "protocol").glob("*.yaml")}
 
 
 def cases():
