@@ -5,6 +5,7 @@ import sys
 
 import pytest
 import yaml
+
 from suspnet.cli.presets import of_healthy
 
 OPTIONS = {"am96": "am96", "our_file": "our train", "ice3": "ice3"}
