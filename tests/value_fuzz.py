@@ -48,10 +48,8 @@ BASES = {
         [*TINY, "data.n_calibrate=null", "search=table5", "figures=false"],
     ],
     "evaluate": [
-        ["run={run}", "data.n_test=32", "progress=false", "protocol=multi_location", "threads=1"],
+        ["run={run}", "data.n_test=32", "progress=false", "threads=1"],
         ["run={trips_run}", "trips={trips}", "progress=false", "monitor.workers=1"],
-        ["study=identifiability", "n_vehicles=20", "threads=1"],
-        ["study=identifiability", "data=trips", "protocol=trips", "generator=best", "n_vehicles=5"],
     ],
     "simulate": [
         [*SHORT],

@@ -87,14 +87,6 @@ class CurveSettings(Counts):
         """Whether the noise is added to the decibels of the magnitudes."""
         return self.noise_on == "decibel"
 
-    def words(self) -> str:
-        """Return a description of what is observed and of its noise."""
-        return (
-            f"Magnitudes of the responses, {self.low_hz:.3g} to {self.high_hz:.3g} Hz, with white "
-            f"noise of {self.snr_db:g} dB, {100 * 10 ** (-self.snr_db / 20):.2g} % of each curve's "
-            f"rms{' in decibels' if self.in_decibels else ''}."
-        )
-
 
 @dataclass(frozen=True)
 class CurveObserver:

@@ -208,16 +208,6 @@ class EstimateSettings(Counts):
         """Return the observer that draws estimates for a generator's vehicles."""
         return EstimateObserver(self, generator)
 
-    def words(self) -> str:
-        """Return a description of the trips and their noise."""
-        band = "" if self.low_hz is None else f", {self.low_hz:.3g} to {self.high_hz:.3g} Hz"
-        bias = "" if self.method == "IV" else f" The bias of {self.method} in noise is known."
-        return (
-            f"Trips of {self.minutes:g} minutes at {self.speed_m_per_s:g} m/s, track "
-            f"{self.track}{band}. White noise of each sensor: {self.snr_db:g} dB over its whole "
-            f"band. All three sensors are used, whichever curves the protocol names.{bias}"
-        )
-
 
 Observation = CurveSettings | EstimateSettings
 """Settings of an observation. `kind` is its name in model files."""

@@ -11,8 +11,7 @@ The paper prints the last term of (1) as k_p w' and swaps the names of z_p and z
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -20,15 +19,21 @@ from numpy.typing import ArrayLike
 from scipy.linalg import eigh
 from torch import Tensor
 
-from suspnet.ground.parameters import Direction
 from suspnet.ground.tensors import as_tensor, check_device
 from suspnet.ground.types import FloatArray
 from suspnet.vehicle.motion import LinearSystem
-from suspnet.vehicle.vehicle import PARAMETERS, Vehicle, angular, check_ratios, check_vehicle
+from suspnet.vehicle.vehicle import (
+    PARAMETERS,
+    ResponseGenerator,
+    Vehicle,
+    angular,
+    check_ratios,
+    check_vehicle,
+)
 
 
 @dataclass(frozen=True)
-class QuarterCar:
+class QuarterCar(ResponseGenerator):
     """Frequency responses of a vehicle's quarter-car model, batched over parameter ratios.
 
     `vehicle` is the healthy one, `device` the torch device of the returned tensors.
@@ -43,15 +48,6 @@ class QuarterCar:
 
     vehicle: Vehicle
     device: str = "cpu"
-
-    # neither speed nor direction matter, both bogies are alike, and every number is known
-    speed_m_per_s: ClassVar[None] = None
-    bogie: ClassVar[None] = None
-    direction: ClassVar[None] = None
-    distribution: ClassVar[None] = None
-    # without pitch and roll there is no fourth place, and a sensor measures the mean of both sides
-    further_places: ClassVar[tuple[str, ...]] = ()
-    sensor_lateral_m: ClassVar[tuple[float, float, float]] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         check_vehicle(self.vehicle)
@@ -126,38 +122,6 @@ class QuarterCar:
         )
         # torch's rsqrt takes half the time of its sqrt
         return torch.stack([den_p.div_(num_p), den_s.div_(num_s)], dim=1).rsqrt_()
-
-    def further_channels(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
-        """Return an empty tensor (n_vehicles, 1, 0, n_freq): there are no further places."""
-        shape = (len(ratios), 1, 0, len(frequencies_hz))
-        return torch.empty(shape, dtype=torch.complex128, device=self.device)
-
-    def with_uncertain(self, ratios: Tensor, numbers: Tensor) -> Tensor:
-        """Return the ratios unchanged, as this generator has no uncertain numbers."""
-        return ratios
-
-    def sample_unmeasured(self, ratios: Tensor, seed: int) -> Tensor:
-        """Return the ratios unchanged, as this generator has no uncertain numbers."""
-        return ratios
-
-    def of(self, vehicle: Vehicle) -> QuarterCar:
-        """Return the quarter car of another vehicle."""
-        return replace(self, vehicle=vehicle)
-
-    def running(self, direction: Direction) -> QuarterCar:
-        """Return the generator itself: it does not depend on the direction of travel."""
-        return self
-
-    def on(self, device: str) -> QuarterCar:
-        """Return the same generator on another device."""
-        return replace(self, device=device)
-
-    def assumptions(self) -> str:
-        """Return a sentence that states the assumptions of the generator."""
-        return (
-            "The quarter car has three places for sensors; generator=vertical_vehicle, where the "
-            "geometry is known, has more."
-        )
 
     def natural_modes(self) -> tuple[FloatArray, FloatArray]:
         """Return natural frequencies [Hz], ascending, and mode shapes of the undamped vehicle.

@@ -186,19 +186,6 @@ class VehicleFamily:
         """Return the same generator on another device."""
         return replace(self, device=device)
 
-    def assumptions(self) -> str:
-        """Return a sentence that states the assumptions of the generator."""
-        n_uncertain = 0 if self.distribution is None else len(self.distribution.names)
-        if n_uncertain:
-            return (
-                f"The vehicle pitches; {n_uncertain} of its numbers are uncertain and estimated "
-                "too, all others are taken as known exactly."
-            )
-        return (
-            "The vehicle pitches; speed, geometry, inertias and the other bogie are taken as known "
-            "exactly."
-        )
-
     def complete(self, ratios: Tensor) -> Tensor:
         """Return ratios with all columns: missing ones are the distribution's median, else 1."""
         n_outputs, n_all = len(self.outputs), len(self.columns)

@@ -191,11 +191,6 @@ SCENARIO = "defaults: [healthy]\nname: mine\nchanges: {k_p: {from_km: 1, to_km: 
 USES = {
     # file, its text, program, the rest of the command, and what is then configured
     "vehicle": ("vehicle/mine", VEHICLE, train, ("vehicle=mine",), "  bogie_mass_kg: 1725.0"),
-    "of a study": (
-        *("vehicle/mine", VEHICLE, evaluate),
-        ("study=identifiability", "vehicle=mine"),
-        "  name: am96",
-    ),
     "best": ("experiment/best", BEST, train, ("experiment=best",), "      epsilon: 1.0e-06"),
     "experiment": ("experiment/mine", EXPERIMENT, train, ("experiment=mine",), "  n_train: 77"),
     "scenario": ("scenario/mine", SCENARIO, simulate, ("scenario=mine",), "      ratio: 0.5"),

@@ -26,7 +26,7 @@ CHOSEN = [
     ("train", "model=msvr_table5"),
     ("train", "search=widened"),
     *(("train", f"experiment={name}") for name in ("trips", "tube", "fair")),
-    ("evaluate", "study=identifiability"),
+    ("evaluate", "study=maintenance"),
     ("simulate", "scenario=random"),
     ("replay", "sink=mqtt"),
 ]
