@@ -197,7 +197,6 @@ def on_gpu(**options: Any) -> Callable[[float], Any]:
 
 
 METHODS = {
-    "auto": Method("MSVR, auto", msvr("auto"), "#009e73", "D"),
     "exact": Method("MSVR, exact", msvr("exact"), "black", **DENSE),
     "equispaced": Method(
         "MSVR, equispaced", msvr("equispaced"), "#d55e00", needs="finufft", is_for_wide=False

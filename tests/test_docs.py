@@ -70,7 +70,7 @@ def commands():
     for page in PAGES:
         for line in "\n".join(blocks(page)).replace("\\\n", " ").splitlines():
             for part in re.split(r"&&?|\|", line):
-                part = re.sub(r"^torchrun .*?train\.py", "python train.py", part.strip())
+                part = part.strip()
                 if part.startswith(tuple(PROGRAMS)):
                     found.append(part)
     return sorted(set(found))

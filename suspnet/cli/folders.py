@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import re
 import sys
 from collections.abc import Iterable
@@ -66,11 +65,6 @@ class OwnFolder(Callback):
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Choose the folder before Hydra makes it, and pass it to the jobs."""
-        if int(os.environ.get("WORLD_SIZE", "1")) > 1:
-            raise SystemExit(
-                "error: a multirun cannot be spread by torchrun: start it with python, and "
-                "hydra/launcher=joblib or hydra/launcher=slurm for several jobs at a time"
-            )
         _choose(config, "sweep")
         folder = Path(config.hydra.sweep.dir)
         to_resume[:] = [str(folder)]

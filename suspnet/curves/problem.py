@@ -131,22 +131,20 @@ class Problem:
         bins = self.observer.frequencies_hz.to(healthy.device)
         return extractor.fitted(clean, noisy, healthy, bins)
 
-    def features(self, stream: int, part: slice | None = None) -> FeatureData:
+    def features(self, stream: int, n_first: int | None = None) -> FeatureData:
         """Return the features of a stream's curves, from the cache if possible.
 
-        `stream` is ``TRAIN``, ``TEST`` or ``CALIBRATE``; `part` a range of batches of ``BATCH``
-        curves, None is all. ValueError if the grid has fewer curves, or the healthy vehicle lacks a
-        peak.
+        `stream` is ``TRAIN``, ``TEST`` or ``CALIBRATE``; `n_first`: of so many curves only.
+        ValueError if the grid has fewer curves, or the healthy vehicle lacks a peak.
         """
         if self.settings.cache_dir is None:
-            return self._make_features(stream, part)
+            return self._make_features(stream, n_first)
         cache = Cache(self.settings.cache_dir, "features")
-        which = {} if part is None else {"part": [part.start, part.stop]}
-        made_from = self.describe(stream) | which
+        made_from = self.describe(stream) | ({} if n_first is None else {"n_first": n_first})
         cached = cache.read(made_from)
         if cached is not None:
             return FeatureData(**cached[0])
-        data = self._make_features(stream, part)
+        data = self._make_features(stream, n_first)
         cache.write(made_from, asdict(data))
         return data
 
@@ -211,22 +209,18 @@ class Problem:
         """Return the number of blocks that hold `n_curves`."""
         return -(-n_curves // BLOCK)
 
-    def n_batches(self, n_curves: int) -> int:
-        """Return the number of batches that hold `n_curves`."""
-        return -(-n_curves // BATCH)
-
-    def _make_features(self, stream: int, part: slice | None) -> FeatureData:
+    def _make_features(self, stream: int, n_first: int | None) -> FeatureData:
         """Return the features of a stream, computed in threads; NaN where one is missing."""
         ratios = self.ratios(stream)
-        batches = range(self.n_batches(len(ratios)))[part or slice(None)]
-        asked = slice(batches.start * BATCH, batches.stop * BATCH)
+        made = slice(0, len(ratios) if n_first is None else -(-n_first // BLOCK) * BLOCK)
+        ratios, asked = ratios[made], slice(0, n_first)
         healthy = self.healthy_features()
         values = np.empty((len(ratios), len(healthy)))
         extractor = self.extractor
         reasons = np.empty((len(ratios), len(extractor.parts)), dtype=np.int64)
 
-        def make(batch: int) -> int:
-            rows = slice(batch * BATCH, min((batch + 1) * BATCH, len(ratios)))
+        def make(start: int) -> int:
+            rows = slice(start, min(start + BATCH, len(ratios)))
             blocks = range(rows.start // BLOCK, self.n_blocks(rows.stop))
             noisy = torch.cat([self.curves(ratios, stream, block) for block in blocks])
             table = self._extracted(self.observer.for_features(noisy))
@@ -235,10 +229,9 @@ class Problem:
             return len(noisy)
 
         name = f"{self.task.protocol}/{self.task.group} {STREAM_NAMES[stream]} curves"
-        n_curves = len(ratios[asked])
-        bar = progress_bar(name, n_curves, unit="curve", shown=self.progress)
+        bar = progress_bar(name, len(ratios), unit="curve", shown=self.progress)
         with bar, pool_of(self.threads) as pool:
-            for n_made in pool.map(make, batches):
+            for n_made in pool.map(make, range(0, len(ratios), BATCH)):
                 bar.update(n_made)
         mass = [ratios[:, BODY_MASS_COLUMN]] if self.task.mass_known else []
         inputs = np.column_stack([values, *mass])
@@ -309,7 +302,10 @@ class FeatureData:
         """
         kept = self.valid
         if not kept.any():
-            raise ValueError(none_complete(len(kept), self.reasons, extractor))
+            texts = Counter(map(extractor.missing, self.reasons) if extractor is not None else ())
+            usual = max(texts, key=texts.__getitem__, default="")  # what is missing most often
+            what = f": {usual}" if usual else ""
+            raise ValueError(f"none of the {len(kept)} curves has every feature{what}")
         return self.subset(kept)
 
     def first(self, n_curves: int) -> FeatureData:
@@ -321,13 +317,6 @@ class FeatureData:
         return FeatureData(
             self.inputs[rows], self.outputs[rows], self.ratios[rows], self.reasons[rows]
         )
-
-
-def none_complete(n_curves: int, reasons: IntArray, extractor: FeatureSet | None) -> str:
-    """Return the message that no curve has every feature, with what is missing most often."""
-    texts = Counter(map(extractor.missing, reasons)) if extractor is not None else Counter[str]()
-    usual = max(texts, key=texts.__getitem__, default="")
-    return f"none of the {n_curves} curves has every feature" + f": {usual}" * bool(usual)
 
 
 @contextmanager

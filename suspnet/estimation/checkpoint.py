@@ -40,7 +40,7 @@ from suspnet.ground.types import FloatArray
 from suspnet.learning import METHODS, Scaling
 from suspnet.vehicle import GENERATORS, SpatialVehicle, Vehicle
 
-SCHEMA_VERSION = 9
+SCHEMA_VERSION = 10
 OLDEST_SCHEMA = 8
 """Oldest version of model.json that is read: `_migrated` adds what later ones have."""
 FEATURES = "features."
@@ -271,6 +271,11 @@ def _migrated(content: dict[str, Any]) -> dict[str, Any]:
     """Return the content of model.json of any version that is read as one of this version."""
     if content["schema_version"] == SCHEMA_VERSION:
         return content
+    if content["model"] == "msvr":  # up to 9: whether processes shared the fit
+        kept = {k: v for k, v in content["parameters"].items() if k != "distributed"}
+        content = content | {"parameters": kept}
+    if content["schema_version"] == 9:
+        return content | {"schema_version": SCHEMA_VERSION}
     task = dict(content["task"])
     task |= {"varied_sets": [task.pop("varied")], "test_sampling": task["sampling"]}
     task |= {"standardised": True}

@@ -36,7 +36,6 @@ from suspnet.learning.design import (
     Penalty,
 )
 from suspnet.learning.loss import loss, weight
-from suspnet.learning.ranks import all_reduce, broadcast
 
 SUFFICIENT_DECREASE = 1e-4
 """Fraction of the decrease predicted by the gradient that a step must reach (Armijo's rule)."""
@@ -136,7 +135,7 @@ class IRWLS:
         # The loop ends: every pass increases n_iter, except that a step of 0 takes the next kind of
         # equations, and stops when each kind had one.
         while (gap := _gap(objective, lower)) > self.tol and n_iter < self.max_iter:
-            direction = functional.synchronised(equations.direction(gradient, self.tol * objective))
+            direction = equations.direction(gradient, self.tol * objective)
             # One pass over the samples computes everything needed for the step, the next gradient
             # (after a full step) and the bound.
             change, products = design.matvec_rmatvec(
@@ -165,9 +164,8 @@ class IRWLS:
             gradient = functional.gradient(coef, residual, product)
             objectives.append(objective)
             n_iter += 1
-            support = functional.support(gradient)  # a sum over ranks: all of them take part
             if on_iteration is not None:
-                norm = functional.norm(gradient)
+                norm, support = functional.norm(gradient), _support(gradient)
                 on_iteration(Iteration(n_iter, objective, norm, step, support))
         status = Status.STAGNATED if has_stagnated else Status.MAX_ITER
         return Solution(
@@ -176,7 +174,7 @@ class IRWLS:
             objective,
             functional.norm(gradient),
             gap,
-            functional.support(gradient),
+            _support(gradient),
             n_iter,
             Status.CONVERGED if gap <= self.tol else status,
             objectives,
@@ -220,7 +218,7 @@ class _Equations:
 
 @dataclass(frozen=True)
 class Functional:
-    """F on a design, its gradient, and a bound below it; sums run over all ranks."""
+    """F on a design, its gradient, and a bound below it."""
 
     design: Design
     C: Penalty
@@ -230,16 +228,7 @@ class Functional:
     def value(self, coef: Tensor, residual: Tensor) -> float:
         """Return F."""
         losses = (self.C * loss(residual.norm(dim=1), self.epsilon)).sum()
-        summed = self.design.all_reduce(losses)
-        return float(self._broadcast(0.5 * self.design.inner(coef, coef) + summed))
-
-    def synchronised(self, direction: Coefficients) -> Coefficients:
-        """Return the direction of rank zero, so that rounding cannot make ranks diverge."""
-        return Coefficients(self._broadcast(direction.coef), self._broadcast(direction.intercept))
-
-    def _broadcast(self, values: Tensor) -> Tensor:
-        """Return the values of rank zero if the samples are spread over ranks."""
-        return broadcast(values) if self.design.all_reduce is all_reduce else values
+        return float(0.5 * self.design.inner(coef, coef) + losses)
 
     def weights(self, residual: Tensor) -> Tensor:
         """Return the weights of Eq. (10), (n_samples,)."""
@@ -253,7 +242,7 @@ class Functional:
             product = self.design.rmatvec(weighted)
         offset = torch.zeros_like(coef[0])
         if self.fit_intercept:
-            offset = -self.design.all_reduce(weighted.sum(dim=0))
+            offset = -weighted.sum(dim=0)
         return Gradient(coef - product, offset, weights, residual)
 
     def norm(self, gradient: Gradient) -> float:
@@ -290,9 +279,8 @@ class Functional:
         """
         n_outputs = change.shape[1]
         weighted = gradient.weights[:, None] * change
-        sums = torch.cat([(weighted * change).sum()[None], weighted.sum(dim=0)])
-        summed = self.design.all_reduce(torch.cat([sums, gradient.weights.sum()[None]]))
-        curvature, offset, weight_sum = summed[0], summed[1:-1], summed[-1]
+        curvature, offset = (weighted * change).sum(), weighted.sum(dim=0)
+        weight_sum = gradient.weights.sum()
         r = -(gradient.coef + direction.coef + products[:, n_outputs : 2 * n_outputs])
         inner = self.design.inner
         value = 0.5 * (inner(direction.coef, direction.coef) + curvature)
@@ -301,7 +289,7 @@ class Functional:
             shift = -(gradient.intercept + offset) / weight_sum
             r -= torch.outer(products[:, -1], shift)
             value -= 0.5 * weight_sum * shift.square().sum()
-        return float(self._broadcast(objective + value - 0.5 * inner(r, r)))
+        return float(objective + value - 0.5 * inner(r, r))
 
     def backtrack(
         self,
@@ -324,15 +312,12 @@ class Functional:
     def decrement(self, gradient: Gradient, direction: Coefficients) -> float:
         """Return -g . d, the rate at which F decreases along a direction."""
         inner = self.design.inner(gradient.coef, direction.coef)
-        return float(self._broadcast(-inner - (gradient.intercept * direction.intercept).sum()))
+        return float(-inner - (gradient.intercept * direction.intercept).sum())
 
-    def support(self, gradient: Gradient) -> float:
-        """Return the fraction of the samples outside the tube."""
-        outside = (gradient.weights > 0).double()
-        counts = self.design.all_reduce(
-            torch.stack([outside.sum(), torch.ones_like(outside).sum()])
-        )
-        return float(counts[0] / counts[1])
+
+def _support(gradient: Gradient) -> float:
+    """Return the fraction of the samples outside the tube."""
+    return float((gradient.weights > 0).double().mean())
 
 
 def _gap(objective: float, lower: float) -> float:

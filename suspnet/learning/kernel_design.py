@@ -25,7 +25,6 @@ from suspnet.learning.design import (
 )
 from suspnet.learning.feature_maps import KernelColumns, generator, partial_cholesky
 from suspnet.learning.irwls import IRWLS
-from suspnet.learning.ranks import AllReduce, identity
 
 ADVICE = "lower C, or scale the outputs"
 """What to do where a system is singular to working precision."""
@@ -54,8 +53,8 @@ class KernelDesign(Design):
     `X`: (n_samples, n_inputs), the samples of the map.
     """
 
-    def __init__(self, kernel: KernelColumns, X: Tensor, all_reduce: AllReduce = identity) -> None:
-        self.kernel, self.X, self.all_reduce = kernel, X, all_reduce
+    def __init__(self, kernel: KernelColumns, X: Tensor) -> None:
+        self.kernel, self.X = kernel, X
         self.n_samples = len(X)
         self.n_features = 2 * len(X)
         self._rows = X.new_empty(len(X), len(X))

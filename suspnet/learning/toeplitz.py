@@ -20,7 +20,6 @@ from suspnet.learning.design import (
     without_intercept,
 )
 from suspnet.learning.equispaced import EquispacedFeatures, EquispacedTransform, flat_index
-from suspnet.learning.ranks import AllReduce, identity
 
 TINY = torch.finfo(torch.float64).tiny
 """Smallest divisor, for columns that are solved exactly."""
@@ -53,10 +52,9 @@ class EquispacedDesign(EquispacedTransform, Design):
         self,
         modes: EquispacedFeatures,
         X: Tensor,
-        all_reduce: AllReduce = identity,
         solver: ConjugateGradients | None = None,
     ) -> None:
-        super().__init__(modes, X, all_reduce)
+        super().__init__(modes, X)
         self._solver = solver or ConjugateGradients()
 
     def matvec_rmatvec(self, change: Coefficients, columns: Columns) -> tuple[Tensor, Tensor]:

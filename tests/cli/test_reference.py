@@ -62,7 +62,7 @@ def test_help_tells_every_group_and_option_of_the_program(name):
             *("vehicle", "generator", "data", "protocol"),
             *("model", "search", "experiment", "reading"),
         },
-        "evaluate": {"protocol", "study"},
+        "evaluate": {"study"},
         "simulate": {"vehicle", "generator", "scenario"},
         "replay": {"sink"},
     }[name]

@@ -6,21 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from learning_reference import lbfgs_msvr, naive_rbf, smooth_data
-from sklearn.base import clone
 from sklearn.exceptions import ConvergenceWarning
 
 from suspnet.learning import MSVR, SVR
 
 PEER = Path(__file__).parent / "data" / "msvr_peer.json"
 """Predictions of a public MSVR (IPL-UV/simpleR under GNU Octave 7); the file names its source."""
-MAPS = ["rff", "orf", "nystroem", "equispaced", "exact"]
-
-
-@pytest.fixture
-def _finufft_where_needed(request):
-    """Skip what fits or predicts with `equispaced` where its library is missing."""
-    if request.getfixturevalue("feature_map") == "equispaced":
-        pytest.importorskip("finufft")
 
 
 def small(**settings):
@@ -102,42 +93,6 @@ def test_kernel_tol_decides_the_number_of_landmarks():
         for tol in (1e-1, 1e-3, 1e-6)
     ]
     assert sizes[0] < sizes[1] < sizes[2] < 150
-
-
-@pytest.mark.usefixtures("_finufft_where_needed")
-@pytest.mark.parametrize("feature_map", MAPS)
-def test_distributed_without_other_ranks_is_the_same(feature_map):
-    X, Y = smooth_data(23, n_samples=60)
-    alone, one = (small(feature_map=feature_map, distributed=d).fit(X, Y) for d in (False, True))
-    np.testing.assert_array_equal(alone.predict(X), one.predict(X))
-    with pytest.raises(ValueError, match="0 sample"):
-        one.fit(X[:0], Y[:0])  # only one of several ranks may have none
-
-
-@pytest.mark.every_value
-@pytest.mark.parametrize("fit_intercept", [False, True])
-@pytest.mark.parametrize("feature_map", ["rff", "orf"])
-def test_cross_predictions_are_those_of_separate_fits(feature_map, fit_intercept):
-    X, Y = smooth_data(24, n_samples=61)
-    folds = np.array_split(np.random.default_rng(0).permutation(61), 4)
-    model = small(feature_map=feature_map, fit_intercept=fit_intercept, tol=1e-12, max_iter=5000)
-    predict = model.cross_predictor(X, Y, folds)
-    for setting in ({"C": 1.0, "epsilon": 0.0}, {"C": 100.0}, {"epsilon": 0.1}, {}):
-        found = predict(setting)
-        for rows, predicted in zip(folds, found, strict=True):
-            others = np.setdiff1d(np.arange(61), rows)
-            plain = clone(model).set_params(**setting).fit(X[others], Y[others])
-            assert predicted.shape == (len(rows), 2)
-            # Gram matrices are right to 1e-14; tol 1e-12 in F leaves 1e-5 where there is a tube.
-            atol = 1e-9 if setting.get("epsilon") == 0 else 1e-5
-            np.testing.assert_allclose(predicted, plain.predict(X[rows]), atol=atol, rtol=0)
-    assert not hasattr(model, "coef_")
-
-
-@pytest.mark.parametrize("feature_map", MAPS)
-def test_only_maps_that_are_not_of_the_data_share_a_gram_matrix(feature_map):
-    assert small(feature_map=feature_map).shares_gram == (feature_map in ("rff", "orf"))
-    assert not small(feature_map="bogus").shares_gram
 
 
 def test_sigma_scale_is_that_of_sklearns_gamma():
@@ -238,42 +193,6 @@ def test_exact_models_saved_with_a_whitening_are_read():
     old["coef"] = np.sqrt(values[kept])[:, None] * (vectors[:, kept].T @ model.coef_)
     restored = small(feature_map="exact").restore(old)
     np.testing.assert_allclose(restored.predict(X), model.predict(X), atol=1e-6, rtol=0)
-
-
-@pytest.mark.parametrize(
-    ("n", "n_inputs", "changes", "chosen"),
-    [
-        (100, 2, {}, "exact"),
-        (101, 2, {}, "equispaced"),
-        (101, 2, {"epsilon": 0.3}, "exact"),
-        (101, 4, {}, "rff"),
-        (101, 2, {"sigma": 0.01}, "rff"),  # a grid of many modes
-        (50, 2, {"dtype": "float32"}, "rff"),
-    ],
-)
-def test_auto_takes_what_is_quickest_and_is_restored(n, n_inputs, changes, chosen, monkeypatch):
-    X = np.random.default_rng(0).uniform(-1, 1, (n, n_inputs))
-    Y = np.column_stack([X.sum(axis=1), X[:, 0] ** 2])
-    setting = {"sigma": 1.0, "n_components": 50} | changes
-    if chosen == "equispaced":
-        pytest.importorskip("finufft")
-    model = MSVR(feature_map="auto", **setting).fit(X, Y)
-    assert model.feature_map_ == chosen
-    named = MSVR(feature_map=chosen, **setting).fit(X, Y)
-    assert np.array_equal(model.predict(X), named.predict(X))
-    restored = MSVR(feature_map="auto", **setting).restore(model.state())
-    assert np.array_equal(restored.predict(X), model.predict(X))
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    without = MSVR(feature_map="auto", **setting).fit(X, Y)
-    assert without.feature_map_ == ("rff" if chosen == "equispaced" else chosen)
-
-
-def test_equispaced_says_beforehand_what_it_will_cost(monkeypatch):
-    pytest.importorskip("finufft")
-    X, Y = smooth_data(0, 60)
-    monkeypatch.setattr("suspnet.learning.equispaced.MANY_WAVES", 5)
-    with pytest.warns(UserWarning, match=r"modes for 60 samples: about .* GB, and .* operations"):
-        small(feature_map="equispaced").fit(X[:, :2], Y)
 
 
 @pytest.mark.parametrize(
