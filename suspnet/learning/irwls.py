@@ -4,9 +4,10 @@ Minimises the functional of Eq. (7), sums not means, b unpenalised::
 
     F(W, b) = 1/2 |W|^2 + C sum_i s_i L(|y_i - W^T phi_i - b|)
 
-with the hyperspherical epsilon-insensitive loss L of Eq. (8) and sample weights s_i, 1 in the
-paper. F is convex and continuously differentiable, so it has one value at the optimum. Each
-iteration takes a direction from normal equations and backtracks along it.
+with the hyperspherical epsilon-insensitive loss L(u) of Eq. (8), u the norm of a sample's residual
+over all outputs, and sample weights s_i, 1 in the paper. F is convex and continuously
+differentiable, so it has one value at the optimum. Each iteration takes a direction from normal
+equations and backtracks along it.
 
 - "irwls" is the algorithm of the paper: from W = 0, b = 0 on, each direction is that of Eq. (11),
   from the equations (9) with the weights (10).
@@ -35,7 +36,6 @@ from suspnet.learning.design import (
     NormalEquations,
     Penalty,
 )
-from suspnet.learning.loss import loss, weight
 
 SUFFICIENT_DECREASE = 1e-4
 """Fraction of the decrease predicted by the gradient that a step must reach (Armijo's rule)."""
@@ -48,6 +48,22 @@ where many samples lie on the border of the tube."""
 
 KINDS = {"newton": ("fixed", "newton"), "irwls": ("reweighted",)}
 """Kinds of equations of each solver, in turn."""
+
+
+def loss(u: Tensor, epsilon: float) -> Tensor:
+    """Return L(u) = 0 below epsilon and (u - epsilon)^2 above, Eq. (8); same shape as `u`."""
+    return (u - epsilon).clamp(min=0).square()
+
+
+def weight(u: Tensor, epsilon: float) -> Tensor:
+    """Return a(u) = L'(u) / u, so a_i of Eq. (10) is C a(u_i); 0 inside the tube and at u = 0.
+
+    For epsilon = 0 the weight is 2 everywhere, also at u = 0 (its limit).
+    """
+    if epsilon == 0:
+        return torch.full_like(u, 2.0)
+    outside = u > epsilon
+    return torch.where(outside, 2 * (u - epsilon) / torch.where(outside, u, 1.0), 0.0)
 
 
 class Status(StrEnum):
@@ -113,22 +129,18 @@ class IRWLS:
         Y: Tensor,
         on_iteration: Callable[[Iteration], None] | None = None,
         sample_weight: Tensor | None = None,
-        start: Coefficients | None = None,
     ) -> Solution:
         """Return the minimiser of F and a bound on its distance from the optimum.
 
-        `Y`: (n_samples, n_outputs), `sample_weight`: (n_samples,), None is 1. `start` is a point
-        near the optimum, None is 0. Raises ValueError if a system is singular to working precision.
+        `Y`: (n_samples, n_outputs), `sample_weight`: (n_samples,), None is 1. Raises ValueError if
+        a system is singular to working precision.
         """
         C = self.C if sample_weight is None else self.C * sample_weight
         functional = Functional(design, C, self.epsilon, self.fit_intercept)
-        equations = _Equations(design, self, C, is_near=start is not None)
+        equations = _Equations(design, self, C)
         coef = torch.zeros(design.n_features, Y.shape[1], dtype=torch.float64, device=Y.device)
         intercept = torch.zeros_like(coef[0])
         residual = Y.double().clone()
-        if start is not None:
-            coef, intercept = start.coef.clone(), start.intercept.clone()
-            residual -= design.matvec_rmatvec(start, lambda rows, moved: moved[:, :0])[0]
         objective, lower = functional.value(coef, residual), 0.0
         gradient = functional.gradient(coef, residual)
         objectives, n_iter, has_stagnated = [objective], 0, False
@@ -184,7 +196,7 @@ class IRWLS:
 class _Equations:
     """The equations in use: the next kind after slow steps, without end if one kind is all."""
 
-    def __init__(self, design: Design, solver: IRWLS, C: Penalty, is_near: bool = False) -> None:
+    def __init__(self, design: Design, solver: IRWLS, C: Penalty) -> None:
         self._slow_decrease = solver.slow_decrease
         make = {"fixed": design.fixed, "newton": design.newton, "reweighted": design.reweighted}
         self._kinds = KINDS[solver.solver]
@@ -192,8 +204,7 @@ class _Equations:
             functools.partial(make[name], C, solver.fit_intercept) for name in self._kinds
         ]
         self._made: dict[int, NormalEquations] = {}
-        self._place = len(self._kinds) - 1 if is_near else 0
-        self._n_slow = self._n_failed = 0
+        self._place = self._n_slow = self._n_failed = 0
         self._decrement = float("inf")
 
     def direction(self, gradient: Gradient, accuracy: float) -> Coefficients:

@@ -7,11 +7,12 @@ import math
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from learning_reference import (
     Mapped,
     lbfgs_msvr,
+    naive_loss,
     naive_lower_bound,
     naive_msvr_objective,
     naive_msvr_weights,
@@ -21,8 +22,7 @@ from sklearn.linear_model import Ridge
 
 from suspnet.learning.design import Coefficients, DenseDesign, Gram
 from suspnet.learning.feature_maps import random_fourier
-from suspnet.learning.irwls import IRWLS, Functional, Status
-from suspnet.learning.loss import loss
+from suspnet.learning.irwls import IRWLS, Functional, Status, loss, weight
 
 N_COMPONENTS = 40
 PATHS = {
@@ -59,6 +59,26 @@ def small_problem():
 def small_minimum(C, epsilon, fit_intercept):
     _, Phi, Y = small_problem()
     return lbfgs_msvr(Phi, Y.numpy(), C, epsilon, fit_intercept)[2]
+
+
+@given(st.lists(st.floats(0, 1e6), min_size=1, max_size=8), st.floats(0, 10))
+@settings(max_examples=50)
+def test_loss_is_equation_8_for_any_norm_and_radius(values, epsilon):
+    # Exactly: the same two operations, on the same numbers.
+    u = torch.tensor(values, dtype=torch.float64)
+    np.testing.assert_array_equal(loss(u, epsilon), [naive_loss(v, epsilon) for v in values])
+
+
+@pytest.mark.parametrize("epsilon", [0.0, 1e-6, 0.05, 0.3])
+def test_weight_is_the_derivative_of_the_loss_over_the_norm(epsilon):
+    u = torch.tensor([epsilon / 2, epsilon + 0.01, epsilon + 2.0]).double().requires_grad_()
+    # Away from the kink, where gradcheck's finite differences are not those of one branch.
+    assert torch.autograd.gradcheck(lambda v: loss(v, epsilon), u)
+    (slope,) = torch.autograd.grad(loss(u, epsilon).sum(), u)
+    expected = torch.where(u > 0, slope / u, 2.0).detach()
+    np.testing.assert_allclose(weight(u.detach(), epsilon), expected, rtol=1e-14)
+    at_zero = weight(torch.tensor([0.0, 1e-300]).double(), epsilon)
+    assert at_zero.tolist() == [0.0 if epsilon else 2.0] * 2
 
 
 @pytest.mark.parametrize("fit_intercept", [False, True])
