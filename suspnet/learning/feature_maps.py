@@ -218,6 +218,13 @@ def pivoted_cholesky(
     distribution is that of drawing one at a time (Epperly, Tropp and Webber, 2024). The search
     stops when the mean of the residual is at most `kernel_tol`, or all of it is rounding.
     """
+    return partial_cholesky(X, sigma, n_pivots, seed, kernel_tol, n_proposals)[0]
+
+
+def partial_cholesky(
+    X: Tensor, sigma: float, n_pivots: int, seed: int, kernel_tol: float, n_proposals: int = 64
+) -> tuple[Tensor, Tensor]:
+    """Return the rows of `pivoted_cholesky`, and F (n_drawn, n_samples) with F^T F about K."""
     source = generator(seed)
     residual = X.new_ones(len(X))
     factor = X.new_zeros(n_pivots, len(X))
@@ -245,7 +252,7 @@ def pivoted_cholesky(
         residual = torch.where(residual > ROUNDING, residual, 0.0)
         residual[new] = 0
         pivots = torch.cat([pivots, new])
-    return pivots
+    return pivots, factor[: len(pivots)]
 
 
 def _accept(block: Tensor, chances: Tensor) -> tuple[Tensor, Tensor]:

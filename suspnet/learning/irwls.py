@@ -129,18 +129,22 @@ class IRWLS:
         Y: Tensor,
         on_iteration: Callable[[Iteration], None] | None = None,
         sample_weight: Tensor | None = None,
+        start: Coefficients | None = None,
     ) -> Solution:
         """Return the minimiser of F and a bound on its distance from the optimum.
 
-        `Y`: (n_samples, n_outputs), `sample_weight`: (n_samples,), None is 1. Raises ValueError if
-        a system is singular to working precision.
+        `Y`: (n_samples, n_outputs), `sample_weight`: (n_samples,), None is 1. `start` is a point
+        near the optimum, None is 0. Raises ValueError if a system is singular to working precision.
         """
         C = self.C if sample_weight is None else self.C * sample_weight
         functional = Functional(design, C, self.epsilon, self.fit_intercept)
-        equations = _Equations(design, self, C)
+        equations = _Equations(design, self, C, is_near=start is not None)
         coef = torch.zeros(design.n_features, Y.shape[1], dtype=torch.float64, device=Y.device)
         intercept = torch.zeros_like(coef[0])
         residual = Y.double().clone()
+        if start is not None:
+            coef, intercept = start.coef.clone(), start.intercept.clone()
+            residual -= design.matvec_rmatvec(start, lambda rows, moved: moved[:, :0])[0]
         objective, lower = functional.value(coef, residual), 0.0
         gradient = functional.gradient(coef, residual)
         objectives, n_iter, has_stagnated = [objective], 0, False
@@ -196,7 +200,7 @@ class IRWLS:
 class _Equations:
     """The equations in use: the next kind after slow steps, without end if one kind is all."""
 
-    def __init__(self, design: Design, solver: IRWLS, C: Penalty) -> None:
+    def __init__(self, design: Design, solver: IRWLS, C: Penalty, is_near: bool = False) -> None:
         self._slow_decrease = solver.slow_decrease
         make = {"fixed": design.fixed, "newton": design.newton, "reweighted": design.reweighted}
         self._kinds = KINDS[solver.solver]
@@ -204,7 +208,8 @@ class _Equations:
             functools.partial(make[name], C, solver.fit_intercept) for name in self._kinds
         ]
         self._made: dict[int, NormalEquations] = {}
-        self._place = self._n_slow = self._n_failed = 0
+        self._place = len(self._kinds) - 1 if is_near else 0
+        self._n_slow = self._n_failed = 0
         self._decrement = float("inf")
 
     def direction(self, gradient: Gradient, accuracy: float) -> Coefficients:

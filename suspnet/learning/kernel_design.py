@@ -7,7 +7,9 @@ second half, and inner products are beta^T K beta'.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
+from dataclasses import replace
 
 import torch
 from torch import Tensor, cholesky_solve
@@ -21,16 +23,24 @@ from suspnet.learning.design import (
     cholesky,
     largest_weights,
 )
-from suspnet.learning.feature_maps import KernelColumns
+from suspnet.learning.feature_maps import KernelColumns, generator, partial_cholesky
+from suspnet.learning.irwls import IRWLS
 
 ADVICE = "lower C, or scale the outputs"
 """What to do where a system is singular to working precision."""
 Solve = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 """Function that returns eta and db from the right-hand side and the sum of eta."""
+LARGEST_RANK, LOW_RANK_ERROR = 0.25, 0.1
+"""Rank of F^T F, as a share of the samples, and its mean error times the largest weight."""
 FORCING, MOST_GRADIENTS = 1e-8, 100
 """Relative energy of the error and number of iterations at which conjugate gradients end."""
 FEW_UNKNOWNS = 600
 """Number of unknowns up to which Newton's equations are factored as a whole."""
+START_SHARE, FEWEST_START, START_TOL, MOST_OUTSIDE = 4, 100, 1e-2, 0.95
+"""The minimum is sought first on one in `START_SHARE` of the samples if that is at least
+`FEWEST_START`, to `START_TOL`, and kept unless more than `MOST_OUTSIDE` of them leave the tube."""
+NARROW = 0.01
+"""Largest epsilon, as a share of the outputs' deviation, of a tube that holds few samples."""
 
 
 class KernelDesign(Design):
@@ -44,13 +54,29 @@ class KernelDesign(Design):
     """
 
     def __init__(self, kernel: KernelColumns, X: Tensor) -> None:
-        self.X, self.kernel = X, kernel(X)
+        self.kernel, self.X = kernel, X
         self.n_samples = len(X)
         self.n_features = 2 * len(X)
+        self._rows = X.new_empty(len(X), len(X))
+        self._every = torch.arange(len(X), device=X.device)
+        self._is_known = torch.zeros(len(X), dtype=torch.bool, device=X.device)
+
+    def rows(self, rows: Tensor) -> Tensor:
+        """Return some rows of the kernel matrix, each computed when it is needed first."""
+        is_new = ~self._is_known[rows]
+        if bool(is_new.any()):
+            new = rows[is_new]
+            self._is_known[new] = True
+            if len(new) == self.n_samples:
+                self._rows = self.kernel.raw(self.X)
+            else:
+                self._rows[new] = self.kernel(self.X[new])
+        return self._rows if len(rows) == self.n_samples else self._rows[rows]
 
     def block(self, rows: Tensor) -> Tensor:
         """Return the kernel matrix of some samples."""
-        return self.kernel if len(rows) == self.n_samples else self.kernel[rows][:, rows]
+        kernel = self.rows(rows)
+        return kernel if len(rows) == self.n_samples else kernel[:, rows]
 
     def inner(self, first: Tensor, second: Tensor) -> Tensor:
         """Return the sum over outputs of the inner products of two vectors of features."""
@@ -62,12 +88,36 @@ class KernelDesign(Design):
 
     def rmatvec(self, columns: Tensor) -> Tensor:
         """Return Phi^T columns as pairs, (2 n_samples, n_columns)."""
-        return torch.cat([columns, self.kernel @ columns])
+        rows = columns.any(dim=1).nonzero()[:, 0]
+        if 2 * len(rows) < self.n_samples:  # most samples lie within the tube
+            return torch.cat([columns, self.rows(rows).T @ columns[rows]])
+        return torch.cat([columns, self.rows(self._every) @ columns])
 
     def matvec_rmatvec(self, change: Coefficients, columns: Columns) -> tuple[Tensor, Tensor]:
         """Return Phi W + b, and Phi^T V with V = columns(rows, (Phi W + b)[rows])."""
         moved = change.coef[self.n_samples :] + change.intercept
         return moved, self.rmatvec(columns(slice(0, self.n_samples), moved))
+
+    def start(self, solver: IRWLS, Y: Tensor, sample_weight: Tensor | None) -> Coefficients | None:
+        """Return about the minimum, from some of the samples; None if the tube holds almost none.
+
+        From there on the solver meets samples that lie outside the tube of almost the best model,
+        and needs the rows of the kernel matrix of these alone.
+        """
+        n_few = self.n_samples // START_SHARE
+        is_narrow = solver.epsilon <= NARROW * float(Y.std(dim=0, correction=0).max())
+        if is_narrow or solver.solver != "newton" or n_few < FEWEST_START:
+            return None
+        few = torch.randperm(self.n_samples, generator=generator(0))[:n_few].to(Y.device)
+        design = KernelDesign(replace(self.kernel, landmarks=self.X[few]), self.X[few])
+        coarse = replace(solver, C=solver.C * START_SHARE, tol=START_TOL)
+        weights = None if sample_weight is None else sample_weight[few]
+        solution = coarse.minimise(design, Y[few], None, weights)
+        if solution.support_fraction > MOST_OUTSIDE:
+            return None
+        dual = torch.zeros_like(Y, dtype=torch.float64)
+        dual[few] = solution.coef
+        return Coefficients(self.rmatvec(dual), solution.intercept)
 
     def fixed(self, C: Penalty, fit_intercept: bool) -> FixedKernel:
         """Return the equations of all weights 2 C, computed once."""
@@ -131,13 +181,21 @@ class NewtonKernel:
     """Directions of Newton's method: H is the second derivative of L(|r|), as in `NewtonGram`.
 
     The system has a row for each output of each sample outside the tube. Conjugate gradients solve
-    it. Their preconditioner replaces H^-1 by 1 / a, the same for all outputs; it is the system
-    itself where that is small.
+    it. Their preconditioner replaces K by a product F^T F where F has few rows, else H^-1 by 1 / a,
+    the same for all outputs; it is the system itself where that is small.
     """
 
     def __init__(self, design: KernelDesign, C: Penalty, fit_intercept: bool) -> None:
         self._design, self._weights = design, largest_weights(C, design.X[:, 0])
         self._fit_intercept = fit_intercept
+
+    @functools.cached_property
+    def _low_rank(self) -> Tensor | None:
+        """F, (n_rows, n_samples), None if it would have many rows."""
+        design, most = self._design, int(LARGEST_RANK * self._design.n_samples)
+        error = LOW_RANK_ERROR / float(self._weights.max())
+        _, factor = partial_cholesky(design.X, float(design.kernel.sigma), most, 0, error)
+        return factor if len(factor) < most else None
 
     def direction(self, gradient: Gradient, accuracy: float) -> Coefficients:
         """Return the Newton direction, to rounding of about `FORCING`."""
@@ -151,12 +209,15 @@ class NewtonKernel:
         kernel = design.block(support)
         if inverse.numel() <= FEW_UNKNOWNS * unit.shape[1]:
             approximate = _whole(kernel, inverse)
-        else:
+        elif self._low_rank is None:
             factor = _factor(kernel, actual)
 
             def approximate(right: Tensor) -> Tensor:
                 return cholesky_solve(right, factor)
 
+        else:
+            second = radial * largest[:, None, None] + across * actual[:, None, None]
+            approximate = _woodbury(self._low_rank[:, support], second)
         eta, shift = _conjugate_gradients(
             lambda eta: kernel @ eta + (inverse @ eta[:, :, None])[:, :, 0],
             _with_intercept(approximate, unit, self._fit_intercept),
@@ -175,6 +236,25 @@ def _whole(kernel: Tensor, inverse: Tensor) -> Callable[[Tensor], Tensor]:
         matrix.reshape(n * q, n * q), f"system of {n} samples outside the tube", ADVICE
     )
     return lambda right: cholesky_solve(right.T.reshape(-1, 1), factor).reshape(q, n).T
+
+
+def _woodbury(factor: Tensor, second: Tensor) -> Callable[[Tensor], Tensor]:
+    """Return what multiplies by the inverse of H^-1 + F^T F, H of each sample (n, q, q)."""
+    rank, q = len(factor), second.shape[1]
+    core = factor.new_zeros(q, rank, q, rank)
+    for j in range(q):
+        core[j, :, j].diagonal().add_(1.0)
+        for k in range(q):
+            core[j, :, k] += (factor * second[:, j, k]) @ factor.T
+    name = f"system of {rank} rows of a factor of the kernel"
+    lower = cholesky(core.reshape(q * rank, -1), name, ADVICE)
+
+    def apply(right: Tensor) -> Tensor:
+        scaled = (second @ right[:, :, None])[:, :, 0]
+        inner = cholesky_solve((factor @ scaled).T.reshape(-1, 1), lower).reshape(q, rank)
+        return scaled - (second @ (inner @ factor).T[:, :, None])[:, :, 0]
+
+    return apply
 
 
 def _with_intercept(

@@ -18,6 +18,7 @@ from suspnet.ground.settings import Setting, check_number, check_settings
 from suspnet.ground.tensors import as_tensor, check_device
 from suspnet.ground.types import FloatArray
 from suspnet.learning.irwls import IRWLS, Iteration, Status
+from suspnet.learning.kernel_design import KernelDesign
 from suspnet.learning.map_kinds import MAPS, MOST_EXACT
 from suspnet.learning.regressor import Regressor, arrays_of
 
@@ -190,8 +191,10 @@ class MSVR(Regressor):
         design, targets = kind.design(self._map, samples), targets - constant
         weights = self._sample_weight(sample_weight, samples)
         parts = self.C, self.epsilon, self.fit_intercept, self.max_iter, self.tol
-        solver = IRWLS(*parts, solver=self.solver)
-        solution = solver.minimise(design, targets, self.callback, weights)
+        solver, start = IRWLS(*parts, solver=self.solver), None
+        if isinstance(design, KernelDesign):
+            start = design.start(solver, targets, weights)
+        solution = solver.minimise(design, targets, self.callback, weights, start)
         self.coef_ = np.ascontiguousarray(solution.coef.cpu().numpy())
         self.intercept_ = (solution.intercept + constant.sum(dim=0)).cpu().numpy()
         self.n_iter_ = solution.n_iter

@@ -140,17 +140,18 @@ def test_a_sample_weight_is_that_number_of_samples(feature_map, epsilon, solver)
 @pytest.mark.parametrize(
     ("C", "sigma", "n_outputs"), [(1.0, 2.0, 2), (10.0, 0.3, 2), (10.0, 2.0, 1), (1.0, 1.0, 4)]
 )
-def test_exact_kernel_in_a_tube_needs_few_iterations(C, sigma, n_outputs):
+def test_exact_kernel_in_a_tube_starts_near_the_minimum(C, sigma, n_outputs):
+    # a wide kernel has a low rank, a narrow one has not
     rng = np.random.default_rng(0)
-    X, weights = rng.uniform(-2, 2, (300, 3)), rng.uniform(0.5, 2, 300)
-    Y = np.sin(X @ rng.normal(size=(3, n_outputs))) + 0.1 * rng.normal(size=(300, n_outputs))
+    X, weights = rng.uniform(-2, 2, (600, 3)), rng.uniform(0.5, 2, 600)
+    Y = np.sin(X @ rng.normal(size=(3, n_outputs))) + 0.1 * rng.normal(size=(600, n_outputs))
     setting = {"C": C, "sigma": sigma, "epsilon": 0.3, "feature_map": "exact", "tol": 1e-10}
     quick = MSVR(**setting).fit(X, Y, sample_weight=weights)
     printed = MSVR(**setting, solver="irwls").fit(X, Y, sample_weight=weights)  # no warning
     assert quick.objective_ == pytest.approx(printed.objective_, rel=1e-9)
     np.testing.assert_allclose(quick.predict(X), printed.predict(X), atol=1e-4, rtol=0)
     assert quick.grad_norm_ < 1e-6
-    assert quick.n_iter_ <= printed.n_iter_ / 2
+    assert quick.n_iter_ <= min(10, printed.n_iter_ / 3)
 
 
 def test_sample_weights_of_the_grid_are_those_of_the_exact_kernel():
