@@ -20,13 +20,14 @@ from suspnet.ground.settings import check_choice, setting
 from suspnet.ground.tensors import as_tensor
 from suspnet.vehicle.motion import LinearSystem
 from suspnet.vehicle.quantities import (
+    ADDITIONS,
     PARTS,
+    PLACES,
     QUANTITIES,
     SPATIAL_QUANTITIES,
     Quantity,
 )
 from suspnet.vehicle.spatial_motion import is_lateral, spatial_motion
-from suspnet.vehicle.spatial_numbers import ADDITIONS, PLACES
 from suspnet.vehicle.spatial_response import (
     alone_responses,
     derivatives,

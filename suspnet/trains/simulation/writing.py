@@ -43,8 +43,7 @@ from suspnet.trains.simulation.signals import Journey, profile_length_m, simulat
 from suspnet.trains.simulation.true_vehicle import scattered, true_numbers, with_separate_parts
 from suspnet.vehicle import PARAMETERS, ResponseGenerator, VerticalVehicle
 from suspnet.vehicle.motion import LinearSystem
-from suspnet.vehicle.quantities import IN_MOTION
-from suspnet.vehicle.spatial_numbers import ADDITIONS
+from suspnet.vehicle.quantities import ADDITIONS, IN_MOTION
 from suspnet.vehicle.track import TrackProfile, cross_level_spectrum, make_profile, track_spectrum
 
 ROW_GROUP = 1 << 20
