@@ -18,9 +18,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from suspnet.curves.curves import Directions
 from suspnet.curves.estimates import Misfit, Observer
 from suspnet.curves.extraction import FeatureSet
-from suspnet.curves.observation import Directions
 from suspnet.curves.protocols import RESPONSES, Task, columns_of
 from suspnet.ground.tensors import as_tensor, threads
 from suspnet.ground.types import ComplexArray, FloatArray
@@ -56,16 +56,9 @@ def fisher_information(
     Weak bins do not count. A generator's uncertain numbers are unknown too, at the median of their
     distribution: see `without_uncertain`.
 
-    Parameters
-    ----------
-    ratios : array of shape (n_vehicles, 5), [-]
-    parameters, responses : sequences of str
-        From ``PARAMETERS`` and ``RESPONSES``; estimates from trips always use both responses.
-
-    Returns
-    -------
-    array of shape (n_vehicles, n_parameters, n_parameters)
-        With respect to ratios to healthy.
+    `ratios`: (n_vehicles, 5), [-]; `parameters` and `responses` are from ``PARAMETERS`` and
+    ``RESPONSES``; estimates from trips always use both responses. The result (n_vehicles,
+    n_parameters, n_parameters) is with respect to ratios to healthy.
     """
     used = [RESPONSES.index(name) for name in responses]
     blocks = []

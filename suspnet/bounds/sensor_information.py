@@ -35,8 +35,8 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from suspnet.bounds.information import derivative_of_rows, without_uncertain
+from suspnet.curves.curves import Directions, every_direction
 from suspnet.curves.estimate_observer import EstimateObserver
-from suspnet.curves.observation import Directions, every_direction
 from suspnet.curves.protocols import columns_of
 from suspnet.ground.tensors import as_tensor
 from suspnet.ground.types import FloatArray
@@ -59,28 +59,12 @@ def recording_information(
     """Return the information of recordings on some parameters, for each choice of sensors.
 
     By Whittle's likelihood, with the track's level unknown in each bin; the formulae are in the
-    docstring of the module ``suspnet.bounds.sensor_information``.
-
-    Parameters
-    ----------
-    observer : EstimateObserver
-        Length, track, noise and bins of the trip.
-    ratios : array of shape (n_vehicles, 5), [-]
-    parameters : sequence of str
-        From ``PARAMETERS``; the others are known.
-    counts : array of shape (n_choices, n_places)
-        Number of sensors of each choice at each of ``sensor_places``; two at one place have half
-        the noise density of one.
-
-    Returns
-    -------
-    array of shape (n_choices, n_vehicles, n_parameters, n_parameters)
-        With respect to ratios to healthy.
-
-    Raises
-    ------
-    ValueError
-        If the counts have another shape, or a choice has no sensor.
+    docstring of the module ``suspnet.bounds.sensor_information``. `observer` has length, track,
+    noise and bins of the trip; `ratios`: (n_vehicles, 5), [-]; `parameters` are from
+    ``PARAMETERS``, the others known; `counts` (n_choices, n_places): number of sensors at each of
+    ``sensor_places``, where two have half the noise density of one. ValueError if the counts have
+    another shape or a choice has no sensor. The result (n_choices, n_vehicles, n_parameters,
+    n_parameters) is with respect to ratios to healthy.
     """
     generator, settings = observer.generator, observer.settings
     numbers = _checked(counts, len(THREE_SENSORS))

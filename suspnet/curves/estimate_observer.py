@@ -19,8 +19,8 @@ import torch
 from torch import Tensor
 
 from suspnet.curves.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
+from suspnet.curves.curves import Directions, directions
 from suspnet.curves.expected_spectra import EstimateMisfit, ExpectedSpectra, bridged, weak_bins
-from suspnet.curves.observation import Directions, directions
 from suspnet.curves.speeds import Speeds
 from suspnet.vehicle import PARAMETERS, ResponseGenerator
 from suspnet.vehicle.track import track_spectrum

@@ -11,10 +11,17 @@ import torch
 from torch import Tensor
 
 from suspnet.curves.cross_spectra import Method
-from suspnet.curves.curves import CurveMisfit, CurveObserver, CurveSettings
+from suspnet.curves.curves import (
+    CACHE_FOLDER,
+    MOST_BINS,
+    CacheFolder,
+    Counts,
+    CurveMisfit,
+    CurveObserver,
+    CurveSettings,
+)
 from suspnet.curves.estimate_observer import EstimateObserver
 from suspnet.curves.expected_spectra import EstimateMisfit
-from suspnet.curves.observation import CACHE_FOLDER, MOST_BINS, CacheFolder, Counts
 from suspnet.curves.welch import Welch
 from suspnet.ground.settings import setting
 from suspnet.vehicle import QuarterCar, ResponseGenerator, Vehicle

@@ -46,25 +46,10 @@ STREAM_NAMES = ("training", "test", "calibration")
 class Problem:
     """A learning problem, and the source of its noisy curves and their features.
 
-    Parameters
-    ----------
-    generator : ResponseGenerator
-        The source of frequency responses.
-    task : Task
-    settings : Observation
-        How curves are observed; missing ends of the band follow from the generator's vehicle.
-    seed : int
-        Seed of vehicles and noise; block b of stream s draws its noise from (seed, s, b) alone.
-    threads : int
-        Number of blocks of curves generated in parallel.
-    progress : bool
-        Show a progress bar.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If generator or task are none, seed or threads is no whole number, or the vehicle leaves no
-        band.
+    `settings` say how curves are observed; missing ends of the band follow from the generator's
+    vehicle. `seed` is that of vehicles and noise: block b of stream s draws its noise from (seed,
+    s, b) alone. `threads` blocks of curves are generated in parallel. TypeError or ValueError if
+    generator or task are none, a number is not whole, or the vehicle leaves no band.
     """
 
     generator: ResponseGenerator

@@ -271,8 +271,11 @@ def _migrated(content: dict[str, Any]) -> dict[str, Any]:
     """Return the content of model.json of any version that is read as one of this version."""
     if content["schema_version"] == SCHEMA_VERSION:
         return content
-    if content["model"] == "msvr":  # up to 9: whether processes shared the fit
-        kept = {k: v for k, v in content["parameters"].items() if k != "distributed"}
+    if content["model"] == "msvr":  # up to 9: whether processes shared the fit, and its precision
+        kept = dict(content["parameters"])
+        kept.pop("distributed")
+        if kept.pop("dtype") != "float64":
+            raise ModelFileError("models of dtype=float32 are no longer read; train again")
         content = content | {"parameters": kept}
     if content["schema_version"] == 9:
         return content | {"schema_version": SCHEMA_VERSION}

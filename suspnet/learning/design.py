@@ -154,7 +154,7 @@ class DenseDesign(Design):
         """Return Phi^T columns, shape (n_features, n_columns)."""
         product = self._zeros(self._width, columns.shape[1])
         for rows, phi in self:
-            product += (columns[rows].T.to(phi.dtype) @ phi).T
+            product += (columns[rows].T @ phi).T
         return self._projected(product)
 
     def matvec_rmatvec(self, change: Coefficients, columns: Columns) -> tuple[Tensor, Tensor]:
@@ -163,9 +163,9 @@ class DenseDesign(Design):
         product = self._zeros(self._width, 0)
         coef = change.coef if self._basis is None else self._basis.to(change.coef) @ change.coef
         for rows, phi in self:
-            moved[rows] = (phi @ coef.to(phi.dtype)).double() + change.intercept
-            partial = (columns(rows, moved[rows]).T.to(phi.dtype) @ phi).T
-            product = product.add_(partial) if product.shape[1] else partial.double()
+            moved[rows] = (phi @ coef) + change.intercept
+            partial = (columns(rows, moved[rows]).T @ phi).T
+            product = product.add_(partial) if product.shape[1] else partial
         return moved, self._projected(product)
 
     def weighted_gram(self, weights: Tensor | None) -> Gram:
@@ -183,7 +183,7 @@ class DenseDesign(Design):
                 phi, w = phi[support], w[support]
             if self._basis is not None:
                 phi = phi @ self._basis
-            scaled = phi if w is None else phi * w[:, None].to(phi.dtype)
+            scaled = phi if w is None else phi * w[:, None]
             count += len(phi) if w is None else w.sum()
             sums += scaled.sum(dim=0)
             for start in starts:
@@ -202,12 +202,7 @@ class DenseDesign(Design):
         return ReweightedGram(self, fit_intercept)
 
     def newton(self, C: Penalty, fit_intercept: bool) -> NormalEquations:
-        """Return the equations of Newton's method, or those of Eq. (9) for float32 features.
-
-        The bound on the gap is that of Eq. (9), whose directions it needs where products round.
-        """
-        if self.X.dtype == torch.float32:
-            return self.reweighted(C, fit_intercept)
+        """Return the equations of Newton's method."""
         return NewtonGram(self, C, fit_intercept)
 
     def _projected(self, product: Tensor) -> Tensor:
@@ -320,7 +315,7 @@ def _centred_factor(gram: Gram, scale: float, fit_intercept: bool) -> tuple[Tens
         sums, weight_sum = scale * gram.sums, scale * gram.weight_sum
         matrix.addr_(sums, sums, alpha=-1 / weight_sum)
     matrix.diagonal().add_(1.0)
-    advice = "lower C, or scale the outputs, or use dtype='float64'"
+    advice = "lower C, or scale the outputs"
     name = f"system of IRWLS with weights of total {scale * gram.weight_sum:.1e}"
     return sums, weight_sum, cholesky(matrix, name, advice)
 

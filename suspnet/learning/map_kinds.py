@@ -32,20 +32,19 @@ class MapKind:
     """A kind of feature map: its constructor, its class and its design matrix.
 
     ``make(X, sigma, n_components, seed, kernel_tol)`` returns the map for samples X, `holds` is the
-    class that `restore` rebuilds from its tensors. `float32`: its Gram matrix may be summed in
-    single precision; `on_gpu`: it runs on other devices than the CPU.
+    class that `restore` rebuilds from its tensors. `on_gpu`: it runs on other devices than
+    the CPU.
     """
 
     make: Callable[[Tensor, float, int, int, float], FeatureMap]
     holds: Callable[..., FeatureMap]
     design: Callable[[Any, Tensor], Design] = DenseDesign
-    float32: bool = False
     on_gpu: bool = True
 
 
 MAPS = {
-    "rff": MapKind(random_fourier, FourierFeatures, float32=True),
-    "orf": MapKind(orthogonal_fourier, FourierFeatures, float32=True),
+    "rff": MapKind(random_fourier, FourierFeatures),
+    "orf": MapKind(orthogonal_fourier, FourierFeatures),
     "nystroem": MapKind(nystroem, LandmarkFeatures),
     "equispaced": MapKind(equispaced_fourier, EquispacedFeatures, EquispacedDesign, on_gpu=False),
     "exact": MapKind(exact, KernelColumns, KernelDesign),

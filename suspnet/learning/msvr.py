@@ -44,9 +44,7 @@ class MSVR(Regressor):
     hundreds of iterations, a narrow one a few.
 
     The time of an iteration grows with the cube of the number of features; the memory of `exact`
-    with the square of the number of samples. dtype "float32" is that of the features of `rff` and
-    `orf` and of products with them; sums over blocks and solves are float64, but `gap_` does not
-    include the rounding of products: at C = 1e4 the objective may lie 1e-5 above its minimum.
+    with the square of the number of samples.
 
     The fit stops when the objective is proven to lie within the fraction `tol` of its minimum.
     `callback` gets an ``Iteration`` after each iteration.
@@ -118,7 +116,6 @@ class MSVR(Regressor):
         "random_state": Setting(
             "Seed of the random features or landmarks", rule="whole number; 0 to 4294967295"
         ),
-        "dtype": Setting("Precision of the features of rff and orf; the other maps need float64"),
         "solver": Setting(
             "Algorithm: that of the paper as printed, or a faster one with the same minimum"
         ),
@@ -141,7 +138,6 @@ class MSVR(Regressor):
         max_iter: int = 1000,
         tol: float = 1e-8,
         random_state: Any = 0,
-        dtype: Literal["float64", "float32"] = "float64",
         solver: Literal["newton", "irwls"] = "newton",
         device: str = "cpu",
         callback: Callable[[Iteration], None] | None = None,
@@ -156,7 +152,6 @@ class MSVR(Regressor):
         self.max_iter = max_iter
         self.tol = tol
         self.random_state = random_state
-        self.dtype = dtype
         self.solver = solver
         self.device = device
         self.callback = callback
@@ -170,7 +165,7 @@ class MSVR(Regressor):
         self.check_parameters()
         check_device(self.device)
         X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)
-        samples = as_tensor(X).to(self.device, self._torch_dtype)
+        samples = as_tensor(X).to(self.device)
         targets = as_tensor(y).to(self.device)
         self._single_output = targets.ndim == 1
         targets = targets[:, None] if self._single_output else targets
@@ -213,8 +208,8 @@ class MSVR(Regressor):
 
     def predict(self, X: ArrayLike) -> FloatArray:
         """Return predictions, shape (n_samples,) or (n_samples, n_outputs) as `y` was."""
-        samples = as_tensor(self._inputs(X)).to(self.device, self._torch_dtype)
-        coef = torch.tensor(self.coef_, dtype=self._torch_dtype, device=self.device)
+        samples = as_tensor(self._inputs(X)).to(self.device)
+        coef = torch.tensor(self.coef_, device=self.device)
         predicted = np.empty((len(samples), coef.shape[1]))
         for start in range(0, len(samples), PREDICT_ROWS):
             rows = slice(start, start + PREDICT_ROWS)
@@ -232,10 +227,7 @@ class MSVR(Regressor):
         self.check_parameters()
         names = [name.removeprefix("map.") for name in state if name.startswith("map.")]
         map_type = MAPS[self.feature_map].holds
-        tensors = {
-            name: torch.tensor(state[f"map.{name}"], dtype=self._torch_dtype, device=self.device)
-            for name in names
-        }
+        tensors = {name: torch.tensor(state[f"map.{name}"], device=self.device) for name in names}
         with arrays_of("an MSVR"):
             self.coef_, self.intercept_ = state["coef"], self._restored(state["intercept"])
             if self.feature_map == "exact" and "whitening" in tensors:
@@ -243,15 +235,11 @@ class MSVR(Regressor):
                 self.coef_ = tensors.pop("whitening").double().numpy() @ self.coef_
             self._map = map_type(**tensors)
         self.n_features_in_ = self._map.n_inputs
-        none = torch.zeros(1, self.n_features_in_, dtype=self._torch_dtype, device=self.device)
+        none = torch.zeros(1, self.n_features_in_, dtype=torch.float64, device=self.device)
         n_features = self._map(none).shape[1]
         if self.coef_.shape != (n_features, len(self.intercept_)):
             raise ValueError(f"coef has shape {self.coef_.shape}, the map {n_features} features")
         return self
-
-    @property
-    def _torch_dtype(self) -> torch.dtype:
-        return torch.float32 if self.dtype == "float32" else torch.float64
 
     def _width(self, samples: Tensor) -> float:
         """Return sigma as a number."""
@@ -275,13 +263,7 @@ class MSVR(Regressor):
             check_number("sigma", self.sigma, above=0)
         if not isinstance(self.fit_intercept, bool | np.bool_):
             raise TypeError(f"`fit_intercept` must be True or False, got {self.fit_intercept!r}")
-        kind = MAPS[self.feature_map]
-        if self.dtype == "float32" and not kind.float32:
-            raise ValueError(
-                f"feature_map={self.feature_map!r} needs dtype='float64': its Gram matrix is too "
-                "ill conditioned for single precision"
-            )
-        if not kind.on_gpu and torch.device(self.device).type != "cpu":
+        if not MAPS[self.feature_map].on_gpu and torch.device(self.device).type != "cpu":
             raise ValueError(
                 f"feature_map={self.feature_map!r} runs on the CPU: set device='cpu', or use "
                 "feature_map='rff'"

@@ -10,7 +10,6 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from learning_reference import (
-    Mapped,
     lbfgs_msvr,
     naive_loss,
     naive_lower_bound,
@@ -321,36 +320,6 @@ def test_gram_matrix_that_is_not_positive_is_named():
     spoilt = Spoilt(lambda gram: dataclasses.replace(gram, products=-gram.products))
     with pytest.raises(ValueError, match=r"20 x 20 system .* singular to working precision"):
         IRWLS(10.0, 0.01).minimise(spoilt, Y)
-
-
-@pytest.mark.parametrize("n_components", [40, 300])
-@pytest.mark.parametrize("epsilon", [0.0, 0.02])
-@pytest.mark.parametrize("C", [1.0, 1e4])
-def test_float32_features_lead_to_the_float64_minimum(C, epsilon, n_components):
-    X, Y = smooth_data(0, 400)
-    X, Y = torch.tensor(X, dtype=torch.float32), torch.tensor(Y)
-    phi = random_fourier(X, 1.0, n_components, 0)
-    single = DenseDesign(phi, X)
-    double = DenseDesign(Mapped(lambda rows: phi(rows.float()).double()), X.double())
-    found, best = (
-        IRWLS(C, epsilon, max_iter=1000).minimise(design, Y) for design in (single, double)
-    )
-    reached = naive_msvr_objective(
-        phi(X).double().numpy(), Y.numpy(), found.coef.numpy(), found.intercept.numpy(), C, epsilon
-    )
-    assert best.status == Status.CONVERGED
-    assert found.status == Status.CONVERGED
-    # Fitted values are rounded to 6e-8 of the terms they sum, which grow with C.
-    assert -1e-8 < reached / best.objective - 1 < 1e-5
-    assert found.objective == pytest.approx(reached, rel=1e-5)
-
-
-def test_float32_says_when_it_cannot():
-    X, Y = smooth_data(0, 400)
-    X, Y = torch.tensor(X, dtype=torch.float32), torch.tensor(Y)
-    design = DenseDesign(random_fourier(X, 1.0, 300, 0), X)
-    with pytest.raises(ValueError, match=r"singular to working precision.*lower C"):
-        IRWLS(1e7, 1e-3).minimise(design, Y)
 
 
 @pytest.mark.parametrize("fit_intercept", [False, True])

@@ -124,14 +124,13 @@ IDENTITY_METRIC = make_scorer(root_mean_squared_error, greater_is_better=False)
         pytest.param(
             MSVR(n_components=32, feature_map="orf", tol=1e-12), SHARING, marks=pytest.mark.slow
         ),
-        (MSVR(n_components=32, dtype="float32", tol=1e-6), {"C": [1.0], "epsilon": [0.0, 1e-3]}),
         (MSVR(n_components=20, feature_map="nystroem"), {"C": [1.0, 10.0], "epsilon": [1e-3]}),
-        (MSVR(n_components=32), {"n_components": [8, 33], "C": [1.0, 10.0], "dtype": ["float64"]}),
+        (MSVR(n_components=32), {"n_components": [8, 33], "C": [1.0, 10.0]}),
         (MSVR(n_components=32), {"feature_map": ["nystroem", "rff", "orf"], "C": [1.0, 10.0]}),
         (SVR(), {"C": [1.0, 10.0]}),
         (LinearRegression(), {}),
     ],
-    ids=["rff", "orf", "float32", "nystroem", "components", "maps", "svr", "linear"],
+    ids=["rff", "orf", "nystroem", "components", "maps", "svr", "linear"],
 )
 def test_search_is_cross_validation_of_clones(estimator, grid):
     X, Y = smooth_data(1, n_samples=60)
@@ -145,8 +144,7 @@ def test_search_is_cross_validation_of_clones(estimator, grid):
     for setting, rmse in zip(found.settings, found.rmse, strict=True):
         candidate = clone(estimator).set_params(**setting)
         scores = cross_val_score(candidate, X, Y, cv=folds, scoring=IDENTITY_METRIC)
-        rel = 1e-4 if estimator.get_params().get("dtype") == "float32" else 1e-8
-        assert rmse == pytest.approx(-scores.mean(), rel=rel)
+        assert rmse == pytest.approx(-scores.mean(), rel=1e-8)
     assert len(found.rmse) == 1 or max(found.rmse) > min(found.rmse)
 
 
