@@ -45,7 +45,6 @@ def prepare(n_inputs: int, n: int, group: str, path: Path) -> None:
             [
                 f"group={group}",
                 f"+protocol.groups.{group}.peaks={PEAKS[n_inputs]}",
-                f"data.cache_dir={ROOT / '.cache' / 'suspnet'}",
             ],
         )
     task = build(config, "protocol").task(group)

@@ -20,13 +20,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, ClassVar, Literal, Self
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.ground.settings import Setting, check_number, check_settings, setting
+from suspnet.ground.settings import check_number, check_settings, setting
 from suspnet.vehicle import PARAMETERS, ResponseGenerator, Vehicle
 
 if TYPE_CHECKING:
@@ -52,13 +52,6 @@ STEP = 1e-4
 N_TRAIN, N_UNCERTAIN_TRAIN = 20_000, 4_000
 """Default numbers of training curves; the second for a vehicle with uncertain numbers, where the
 regression is only the start of the fit that reads a trip: with 20,000 its results are the same."""
-CACHE_FOLDER = ".cache/suspnet"
-CacheFolder = Annotated[
-    str | None,
-    Setting(
-        "Folder where features of curves are stored between runs; null stores none", rule="path"
-    ),
-]
 
 
 @dataclass(frozen=True)
@@ -191,7 +184,6 @@ class CurveSettings(Counts):
         above=0,
         most=10000,
     )
-    cache_dir: CacheFolder = CACHE_FOLDER
 
     def __post_init__(self) -> None:
         self.check()

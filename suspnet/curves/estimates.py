@@ -12,9 +12,7 @@ from torch import Tensor
 
 from suspnet.curves.cross_spectra import Method
 from suspnet.curves.curves import (
-    CACHE_FOLDER,
     MOST_BINS,
-    CacheFolder,
     Counts,
     CurveMisfit,
     CurveObserver,
@@ -130,7 +128,6 @@ class EstimateSettings(Counts):
         above=0,
         most=1e6,
     )
-    cache_dir: CacheFolder = CACHE_FOLDER
 
     def __post_init__(self) -> None:
         self.check()

@@ -5,24 +5,20 @@ Degraded vehicles -> noisy curves -> features, block by block.
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet._version import __version__
 from suspnet.curves.estimates import Observation, Observer
 from suspnet.curves.extraction import FeatureSet, FeatureTable, PeakFeatures
 from suspnet.curves.protocols import BODY_MASS_COLUMN, RESPONSES, TEST_STREAM, Task
-from suspnet.ground.cache import Cache, code_hash
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.settings import check_number
 from suspnet.ground.tensors import as_tensor, threads
@@ -112,25 +108,6 @@ class Problem:
         bins = self.observer.frequencies_hz.to(healthy.device)
         return extractor.fitted(clean, noisy, healthy, bins)
 
-    def features(self, stream: int, n_first: int | None = None) -> FeatureData:
-        """Return the features of a stream's curves, from the cache if possible.
-
-        `stream` is ``TRAIN``, ``TEST`` or ``CALIBRATE``; `n_first`: of so many curves only.
-        ValueError if the grid has fewer curves, or the healthy vehicle lacks a peak.
-        """
-        # a user's own feature set may change between runs without a trace in the description
-        is_own = not type(self.task.extractor).__module__.startswith("suspnet.")
-        if self.settings.cache_dir is None or is_own:
-            return self._make_features(stream, n_first)
-        cache = Cache(self.settings.cache_dir, "features")
-        made_from = self.describe(stream) | ({} if n_first is None else {"n_first": n_first})
-        cached = cache.read(made_from)
-        if cached is not None:
-            return FeatureData(**cached[0])
-        data = self._make_features(stream, n_first)
-        cache.write(made_from, asdict(data))
-        return data
-
     def ratios(self, stream: int) -> FloatArray:
         """Return the parameter ratios of a stream's vehicles, shape (n_curves, 5), [-]."""
         wanted = self._wanted(stream)
@@ -192,8 +169,12 @@ class Problem:
         """Return the number of blocks that hold `n_curves`."""
         return -(-n_curves // BLOCK)
 
-    def _make_features(self, stream: int, n_first: int | None) -> FeatureData:
-        """Return the features of a stream, computed in threads; NaN where one is missing."""
+    def features(self, stream: int, n_first: int | None = None) -> FeatureData:
+        """Return the features of a stream's curves, computed in threads; NaN where one is missing.
+
+        `stream` is ``TRAIN``, ``TEST`` or ``CALIBRATE``; `n_first`: of so many curves only.
+        ValueError if the grid has fewer curves, or the healthy vehicle lacks a peak.
+        """
         ratios = self.ratios(stream)
         made = slice(0, len(ratios) if n_first is None else -(-n_first // BLOCK) * BLOCK)
         ratios, asked = ratios[made], slice(0, n_first)
@@ -220,27 +201,6 @@ class Problem:
         inputs = np.column_stack([values, *mass])
         outputs = ratios[:, self.task.output_indices]
         return FeatureData(inputs[asked], outputs[asked], ratios[asked], reasons[asked])
-
-    def describe(self, stream: int) -> dict[str, Any]:
-        """Return everything that determines the features, as JSON-able values (the cache key)."""
-        settings = asdict(self.settings)
-        for name in ("cache_dir", "n_train", "n_test", "n_calibrate"):
-            del settings[name]
-        description = {
-            "generator": [type(self.generator).__name__, asdict(self.generator)],
-            "task": self.task.describe(),
-            "settings": [self.settings.kind, settings],
-            "n_curves": self._wanted(stream),
-            "seed": self.seed,
-            "stream": stream,
-            "version": __version__,
-            "code": code_hash("vehicle", "curves"),
-        }
-        if not self.task.extractor.is_fitted:
-            wanted = self._wanted(TRAIN)
-            description["learnt_from"] = wanted if wanted == "all" else min(int(wanted), LEARN_FROM)
-        plain: dict[str, Any] = json.loads(json.dumps(description))
-        return plain
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import hashlib
 import json
 import warnings
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -230,8 +230,8 @@ def _checked(content: dict[str, Any], arrays: dict[str, FloatArray], device: str
         model = _build(content, dict(arrays), device)
         check_model(model)
         built = _described(model)
-    for part, key in (("parameters", "device"), ("generator", "device"), ("settings", "cache_dir")):
-        built[part][key] = content[part].get(key)  # depends on the machine, not on the model
+    for part in ("parameters", "generator"):  # the device is that of the machine, not of the model
+        built[part]["device"] = content[part].get("device")
     if model.bogie is not None:
         built["bogie"]["generator"]["device"] = content["bogie"]["generator"].get("device")
     described = {key: value for key, value in content.items() if key not in NOT_OF_THE_MODEL}
@@ -271,6 +271,8 @@ def _migrated(content: dict[str, Any]) -> dict[str, Any]:
     """Return the content of model.json of any version that is read as one of this version."""
     if content["schema_version"] == SCHEMA_VERSION:
         return content
+    plain = {k: v for k, v in content["settings"].items() if k != "cache_dir"}
+    content = content | {"settings": plain}  # up to 9: a folder of cached features
     if content["model"] == "msvr":  # up to 9: whether processes shared the fit, and its precision
         kept = dict(content["parameters"])
         kept.pop("distributed")
@@ -326,7 +328,7 @@ def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) 
         estimator=estimator,
         task=Task(**task | {"extractor": feature_set}),
         generator=_untagged(generator, GENERATORS),
-        settings=_untagged(_without_folder(content["settings"]), OBSERVATIONS),
+        settings=_untagged(content["settings"], OBSERVATIONS),
         healthy_features=np.array(content["healthy_features"]),
         input_scaling=_scaling(content["inputs"]),
         output_scaling=_scaling(content["outputs"]),
@@ -336,13 +338,6 @@ def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) 
         bogie=_bogie(content["bogie"], device),
         **calibrated,
     )
-
-
-def _without_folder(settings: dict[str, Any]) -> dict[str, Any]:
-    """Return settings with the default cache folder or none: a file must not name another one."""
-    default = {field.name: field.default for field in fields(OBSERVATIONS[settings["kind"]])}
-    folder = settings.get("cache_dir")
-    return settings | {"cache_dir": folder if folder == default["cache_dir"] else None}
 
 
 def _taken(arrays: dict[str, FloatArray], prefix: str) -> dict[str, FloatArray]:

@@ -18,8 +18,6 @@ from suspnet.learning.feature_maps import FeatureMap
 
 CACHE_BYTES = 400_000_000
 """Largest size of a training set's features that stay in memory between passes [bytes]."""
-Penalty = Tensor | float
-"""C of all samples, or of each of them, (n_samples,)."""
 MOST_COUPLED = 4096
 """Largest number of features times outputs for which Newton's equations are factored."""
 Columns = Callable[[slice, Tensor], Tensor]
@@ -81,14 +79,14 @@ class Design(ABC):
         """Return Phi W + b, and Phi^T V with V = columns(rows, (Phi W + b)[rows]), in one pass."""
 
     @abstractmethod
-    def fixed(self, C: Penalty, fit_intercept: bool) -> NormalEquations:
-        """Return the equations of the samples' largest weights, 2 C, computed once."""
+    def fixed(self, C: float, fit_intercept: bool) -> NormalEquations:
+        """Return the equations of all weights 2 C, their largest by Eq. (10), computed once."""
 
     @abstractmethod
-    def reweighted(self, C: Penalty, fit_intercept: bool) -> NormalEquations:
+    def reweighted(self, C: float, fit_intercept: bool) -> NormalEquations:
         """Return the equations of Eq. (9), computed for the weights of every iteration."""
 
-    def newton(self, C: Penalty, fit_intercept: bool) -> NormalEquations:
+    def newton(self, C: float, fit_intercept: bool) -> NormalEquations:
         """Return the equations of Newton's method, or those of Eq. (9) where they cost less."""
         return self.reweighted(C, fit_intercept)
 
@@ -103,11 +101,6 @@ class Gram:
     products: Tensor
     sums: Tensor
     weight_sum: float
-
-
-def largest_weights(C: Penalty, like: Tensor) -> Tensor:
-    """Return 2 C of each sample, (n_samples,), which no weight of Eq. (10) exceeds."""
-    return torch.zeros_like(like) + 2 * C
 
 
 class DenseDesign(Design):
@@ -191,17 +184,15 @@ class DenseDesign(Design):
                 products[stripe, start:] += scaled[:, stripe].T @ phi[:, start:]
         return Gram(products.triu() + products.triu(1).T, sums, float(count))
 
-    def fixed(self, C: Penalty, fit_intercept: bool) -> FixedGram:
+    def fixed(self, C: float, fit_intercept: bool) -> FixedGram:
         """Return the equations of all weights 2 C, computed once."""
-        if isinstance(C, Tensor):
-            return FixedGram(self.weighted_gram(C), 1.0, fit_intercept)
         return FixedGram(self.weighted_gram(None), C, fit_intercept)
 
-    def reweighted(self, C: Penalty, fit_intercept: bool) -> ReweightedGram:
+    def reweighted(self, C: float, fit_intercept: bool) -> ReweightedGram:
         """Return the equations of Eq. (9), factored for the weights of every iteration."""
         return ReweightedGram(self, fit_intercept)
 
-    def newton(self, C: Penalty, fit_intercept: bool) -> NormalEquations:
+    def newton(self, C: float, fit_intercept: bool) -> NormalEquations:
         """Return the equations of Newton's method."""
         return NewtonGram(self, C, fit_intercept)
 
@@ -262,7 +253,7 @@ class NewtonGram:
     ``MOST_COUPLED`` unknowns the directions are those of Eq. (9).
     """
 
-    def __init__(self, design: DenseDesign, C: Penalty, fit_intercept: bool) -> None:
+    def __init__(self, design: DenseDesign, C: float, fit_intercept: bool) -> None:
         self._design, self._C, self._fit_intercept = design, C, fit_intercept
         self._reweighted = ReweightedGram(design, fit_intercept)
 
@@ -271,8 +262,7 @@ class NewtonGram:
         n_features, n_outputs = gradient.coef.shape
         if n_outputs == 1 or n_features * n_outputs > MOST_COUPLED:
             if n_outputs == 1:  # H = c along the only direction there is
-                largest = largest_weights(self._C, gradient.weights)
-                gradient = replace(gradient, weights=largest * (gradient.weights > 0))
+                gradient = replace(gradient, weights=2 * self._C * (gradient.weights > 0))
             return self._reweighted.direction(gradient, accuracy)
         # one block for each pair of outputs, with a last row and column for b
         n = n_features + 1
@@ -300,7 +290,7 @@ class NewtonGram:
         """Yield the Gram matrix of each pair of outputs j <= k, weighted by H_jk."""
         unit = torch.nn.functional.normalize(gradient.residual, dim=1)
         across = gradient.weights
-        along = (largest_weights(self._C, across) - across) * (across > 0)
+        along = (2 * self._C - across) * (across > 0)
         for j in range(unit.shape[1]):
             for k in range(j, unit.shape[1]):
                 weights = along * unit[:, j] * unit[:, k] + (across if j == k else 0.0)

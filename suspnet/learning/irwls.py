@@ -2,10 +2,10 @@
 
 Minimises the functional of Eq. (7), sums not means, b unpenalised::
 
-    F(W, b) = 1/2 |W|^2 + C sum_i s_i L(|y_i - W^T phi_i - b|)
+    F(W, b) = 1/2 |W|^2 + C sum_i L(|y_i - W^T phi_i - b|)
 
 with the hyperspherical epsilon-insensitive loss L(u) of Eq. (8), u the norm of a sample's residual
-over all outputs, and sample weights s_i, 1 in the paper. F is convex and continuously
+over all outputs. F is convex and continuously
 differentiable, so it has one value at the optimum. Each iteration takes a direction from normal
 equations and backtracks along it.
 
@@ -34,7 +34,6 @@ from suspnet.learning.design import (
     Design,
     Gradient,
     NormalEquations,
-    Penalty,
 )
 
 SUFFICIENT_DECREASE = 1e-4
@@ -128,17 +127,15 @@ class IRWLS:
         design: Design,
         Y: Tensor,
         on_iteration: Callable[[Iteration], None] | None = None,
-        sample_weight: Tensor | None = None,
         start: Coefficients | None = None,
     ) -> Solution:
         """Return the minimiser of F and a bound on its distance from the optimum.
 
-        `Y`: (n_samples, n_outputs), `sample_weight`: (n_samples,), None is 1. `start` is a point
-        near the optimum, None is 0. Raises ValueError if a system is singular to working precision.
+        `Y`: (n_samples, n_outputs); `start` is a point near the optimum, None is 0. Raises
+        ValueError if a system is singular to working precision.
         """
-        C = self.C if sample_weight is None else self.C * sample_weight
-        functional = Functional(design, C, self.epsilon, self.fit_intercept)
-        equations = _Equations(design, self, C, is_near=start is not None)
+        functional = Functional(design, self.C, self.epsilon, self.fit_intercept)
+        equations = _Equations(design, self, is_near=start is not None)
         coef = torch.zeros(design.n_features, Y.shape[1], dtype=torch.float64, device=Y.device)
         intercept = torch.zeros_like(coef[0])
         residual = Y.double().clone()
@@ -200,12 +197,12 @@ class IRWLS:
 class _Equations:
     """The equations in use: the next kind after slow steps, without end if one kind is all."""
 
-    def __init__(self, design: Design, solver: IRWLS, C: Penalty, is_near: bool = False) -> None:
+    def __init__(self, design: Design, solver: IRWLS, is_near: bool = False) -> None:
         self._slow_decrease = solver.slow_decrease
         make = {"fixed": design.fixed, "newton": design.newton, "reweighted": design.reweighted}
         self._kinds = KINDS[solver.solver]
         self._make = [
-            functools.partial(make[name], C, solver.fit_intercept) for name in self._kinds
+            functools.partial(make[name], solver.C, solver.fit_intercept) for name in self._kinds
         ]
         self._made: dict[int, NormalEquations] = {}
         self._place = len(self._kinds) - 1 if is_near else 0
@@ -237,7 +234,7 @@ class Functional:
     """F on a design, its gradient, and a bound below it."""
 
     design: Design
-    C: Penalty
+    C: float
     epsilon: float
     fit_intercept: bool
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -11,19 +12,58 @@ import torch
 from numpy.typing import ArrayLike
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_random_state
-from sklearn.utils.validation import _check_sample_weight, validate_data
+from sklearn.utils.validation import validate_data
 from torch import Tensor
 
 from suspnet.ground.settings import Setting, check_number, check_settings
 from suspnet.ground.tensors import as_tensor, check_device
 from suspnet.ground.types import FloatArray
+from suspnet.learning.design import DenseDesign, Design
+from suspnet.learning.equispaced import EquispacedFeatures, equispaced_fourier
+from suspnet.learning.feature_maps import (
+    FeatureMap,
+    FourierFeatures,
+    KernelColumns,
+    LandmarkFeatures,
+    exact,
+    nystroem,
+    orthogonal_fourier,
+    random_fourier,
+)
 from suspnet.learning.irwls import IRWLS, Iteration, Status
 from suspnet.learning.kernel_design import KernelDesign
-from suspnet.learning.map_kinds import MAPS, MOST_EXACT
 from suspnet.learning.regressor import Regressor, arrays_of
+from suspnet.learning.toeplitz import EquispacedDesign
 
 PREDICT_ROWS = 8192
 """Rows predicted at once, so that their features fit into memory."""
+MOST_EXACT = 5000
+"""Number of samples above which `exact` warns: its kernel takes 0.2 GB, a factor of it as much."""
+
+
+@dataclass(frozen=True)
+class MapKind:
+    """A kind of feature map: its constructor, its class and its design matrix.
+
+    ``make(X, sigma, n_components, seed, kernel_tol)`` returns the map for samples X, `holds` is the
+    class that `restore` rebuilds from its tensors. `on_gpu`: it runs on other devices than
+    the CPU.
+    """
+
+    make: Callable[[Tensor, float, int, int, float], FeatureMap]
+    holds: Callable[..., FeatureMap]
+    design: Callable[[Any, Tensor], Design] = DenseDesign
+    on_gpu: bool = True
+
+
+MAPS = {
+    "rff": MapKind(random_fourier, FourierFeatures),
+    "orf": MapKind(orthogonal_fourier, FourierFeatures),
+    "nystroem": MapKind(nystroem, LandmarkFeatures),
+    "equispaced": MapKind(equispaced_fourier, EquispacedFeatures, EquispacedDesign, on_gpu=False),
+    "exact": MapKind(exact, KernelColumns, KernelDesign),
+}
+"""Every feature map by name; a new one is added here."""
 
 
 class MSVR(Regressor):
@@ -156,12 +196,8 @@ class MSVR(Regressor):
         self.device = device
         self.callback = callback
 
-    def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> Self:
-        """Fit to samples (n_samples, n_inputs) and outputs (n_samples,) or (.., n_outputs).
-
-        `sample_weight` (n_samples,), at least 0, multiplies C for each sample: a weight of 2 is a
-        sample given twice. None is 1.
-        """
+    def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
+        """Fit to samples (n_samples, n_inputs) and outputs (n_samples,) or (.., n_outputs)."""
         self.check_parameters()
         check_device(self.device)
         X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)
@@ -184,12 +220,11 @@ class MSVR(Regressor):
         if self.fit_intercept and bool((targets == targets[:1]).all()):
             constant = targets[:1]
         design, targets = kind.design(self._map, samples), targets - constant
-        weights = self._sample_weight(sample_weight, samples)
         parts = self.C, self.epsilon, self.fit_intercept, self.max_iter, self.tol
         solver, start = IRWLS(*parts, solver=self.solver), None
         if isinstance(design, KernelDesign):
-            start = design.start(solver, targets, weights)
-        solution = solver.minimise(design, targets, self.callback, weights, start)
+            start = design.start(solver, targets)
+        solution = solver.minimise(design, targets, self.callback, start)
         self.coef_ = np.ascontiguousarray(solution.coef.cpu().numpy())
         self.intercept_ = (solution.intercept + constant.sum(dim=0)).cpu().numpy()
         self.n_iter_ = solution.n_iter
@@ -247,14 +282,6 @@ class MSVR(Regressor):
             return float(self.sigma)
         variance = float(samples.var(correction=0))
         return float(np.sqrt(samples.shape[1] * variance)) or 1.0  # as scikit-learn's
-
-    def _sample_weight(self, sample_weight: ArrayLike | None, samples: Tensor) -> Tensor | None:
-        if sample_weight is None:
-            return None
-        weights = _check_sample_weight(
-            sample_weight, samples.cpu().numpy(), dtype=np.float64, ensure_non_negative=True
-        )
-        return torch.tensor(weights, dtype=torch.float64, device=self.device)
 
     def check_parameters(self) -> None:
         """Raise TypeError or ValueError unless every parameter is valid and they fit together."""

@@ -14,9 +14,7 @@ from suspnet.learning.design import (
     Columns,
     Design,
     Gradient,
-    Penalty,
     cholesky,
-    largest_weights,
     without_intercept,
 )
 from suspnet.learning.equispaced import EquispacedFeatures, EquispacedTransform, flat_index
@@ -62,11 +60,11 @@ class EquispacedDesign(EquispacedTransform, Design):
         moved = self.matvec(change.coef) + change.intercept
         return moved, self.rmatvec(columns(slice(0, self.n_samples), moved))
 
-    def fixed(self, C: Penalty, fit_intercept: bool) -> ToeplitzEquations:
+    def fixed(self, C: float, fit_intercept: bool) -> ToeplitzEquations:
         """Return the equations of all weights 2 C."""
         return ToeplitzEquations(self, C, fit_intercept, False, self._solver)
 
-    def reweighted(self, C: Penalty, fit_intercept: bool) -> ToeplitzEquations:
+    def reweighted(self, C: float, fit_intercept: bool) -> ToeplitzEquations:
         """Return the equations of Eq. (9), computed for the weights of every iteration."""
         return ToeplitzEquations(self, C, fit_intercept, True, self._solver)
 
@@ -80,7 +78,7 @@ class ToeplitzEquations:
     def __init__(
         self,
         design: EquispacedTransform,
-        C: Penalty,
+        C: float,
         fit_intercept: bool,
         reweighted: bool,
         solver: ConjugateGradients,
@@ -100,8 +98,7 @@ class ToeplitzEquations:
         wide = [4 * count + 1 for count in design.counts]
         self._steps, self._middle = flat_index(design.waves, wide), math.prod(wide) // 2
         # The first preconditioner is that of weights 2 C, also for reweighted equations.
-        none = torch.zeros(design.n_samples, dtype=torch.float64)
-        self._use(design.toeplitz(largest_weights(C, none)))
+        self._use(design.toeplitz(torch.full((design.n_samples,), 2 * C, dtype=torch.float64)))
         strengths = torch.cat([design.modes.strengths, design.modes.strengths[1:]])
         self._diagonal = 1 + strengths * self._centre
         self._largest = min(len(design.waves), solver.largest_block)

@@ -82,7 +82,7 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
         estimator,
         replace(problem.task, extractor=problem.extractor),
         problem.generator,
-        replace(problem.settings, cache_dir=None),
+        problem.settings,
         problem.healthy_features(),
     )
     training: dict[str, Any] = {"seed": problem.seed, "seconds": 0.0}

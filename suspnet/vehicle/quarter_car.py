@@ -53,7 +53,7 @@ class QuarterCar(ResponseGenerator):
         check_vehicle(self.vehicle)
         check_device(self.device)
 
-    def parameters(self, ratios: Tensor | ArrayLike) -> Tensor:
+    def parameters(self, ratios: ArrayLike) -> Tensor:
         """Return (k_p, c_p, k_s, c_s, M_s) in SI units, shape (5, n_vehicles, 1).
 
         ValueError unless `ratios` is positive and finite, (n_vehicles, 5), or 6 with the speed.
@@ -65,9 +65,7 @@ class QuarterCar(ResponseGenerator):
         healthy = torch.tensor(self.vehicle.healthy_values(), dtype=torch.float64)
         return (ratios.to(self.device, torch.float64) * healthy.to(self.device)).T.unsqueeze(-1)
 
-    def transfer_coefficients(
-        self, ratios: Tensor | ArrayLike
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def transfer_coefficients(self, ratios: ArrayLike) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return numerator and denominator of G_P and of G_S, ascending powers of s.
 
         G_P = num_p / den_p (Eq. 3 cleared of its inner fraction), G_S = num_s / den_s (Eq. 4), of
@@ -90,9 +88,7 @@ class QuarterCar(ResponseGenerator):
         )
         return num_p, den_p, num_s, den_s
 
-    def responses(
-        self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
-    ) -> tuple[Tensor, Tensor]:
+    def responses(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> tuple[Tensor, Tensor]:
         """Return complex G_p and G_s at s = 2 pi j f, Eqs. (3) and (4), each (n_vehicles, n_freq).
 
         `ratios`: (n_vehicles, 5); `frequencies_hz`: (n_freq,).
@@ -104,12 +100,12 @@ class QuarterCar(ResponseGenerator):
         )
         return num_p / den_p, num_s / den_s
 
-    def channels(self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike) -> Tensor:
+    def channels(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> Tensor:
         """Return axle box, frame and body for the one input, (n_vehicles, 1, 3, n_freq), [-]."""
         primary, secondary = self.responses(ratios, frequencies_hz)
         return torch.stack([torch.ones_like(primary), primary, primary * secondary], 1)[:, None]
 
-    def magnitudes(self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike) -> Tensor:
+    def magnitudes(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> Tensor:
         """Return abs(G_p) and abs(G_s) from real polynomials in omega^2, (n_vehicles, 2, n_freq).
 
         For p(s) = sum_k a_k s^k, abs(p(j omega))^2 is a polynomial in x = omega^2 with real
@@ -132,15 +128,13 @@ class QuarterCar(ResponseGenerator):
         eigenvalues, shapes = eigh(system.stiffness, system.mass)
         return np.sqrt(eigenvalues) / (2 * math.pi), shapes
 
-    def dynamic_stiffness(
-        self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
-    ) -> Tensor:
+    def dynamic_stiffness(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> Tensor:
         """Return k_p + j omega c_p and k_s + j omega c_s, (n_vehicles, 2, n_freq), [N/m]."""
         k_p, c_p, k_s, c_s, _ = self.parameters(ratios)
         s = 1j * angular(frequencies_hz, self.device)
         return torch.stack([k_p + c_p * s, k_s + c_s * s], dim=1)
 
-    def motion_system(self, ratios: Tensor | ArrayLike) -> LinearSystem:
+    def motion_system(self, ratios: ArrayLike) -> LinearSystem:
         """Return the equations of motion of one vehicle, ratios (5,), for simulation in time."""
         k_p, c_p, k_s, c_s, m_s = self.parameters(as_tensor(ratios)[None]).flatten().tolist()
         return LinearSystem(

@@ -253,9 +253,7 @@ class ResponseGenerator:
     distribution: LogNormal | None = None
     sensor_lateral_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
-    def responses(
-        self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
-    ) -> tuple[Tensor, Tensor]:
+    def responses(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> tuple[Tensor, Tensor]:
         """Return complex G_p and G_s, (n_vehicles, n_freq), [-].
 
         `ratios`: (n_vehicles, 5) or (n_vehicles, 6), k_p, c_p, k_s, c_s, M_s relative to healthy,
@@ -263,7 +261,7 @@ class ResponseGenerator:
         """
         raise NotImplementedError
 
-    def channels(self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike) -> Tensor:
+    def channels(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> Tensor:
         """Return axle box, frame and body for each independent input of the track, complex [-].
 
         Shape (n_vehicles, n_inputs, 3, n_freq). Each input is scaled to the density of the first,
@@ -271,17 +269,15 @@ class ResponseGenerator:
         """
         raise NotImplementedError
 
-    def dynamic_stiffness(
-        self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
-    ) -> Tensor:
+    def dynamic_stiffness(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> Tensor:
         """Return kappa_p and kappa_s of one bogie side, complex (n_vehicles, 2, n_freq), [N/m]."""
         raise NotImplementedError
 
-    def motion_system(self, ratios: Tensor | ArrayLike) -> LinearSystem:
+    def motion_system(self, ratios: ArrayLike) -> LinearSystem:
         """Return the equations of motion of one vehicle, ratios (5,), for simulation in time."""
         raise NotImplementedError
 
-    def magnitudes(self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike) -> Tensor:
+    def magnitudes(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> Tensor:
         """Return abs(G_p) and abs(G_s) as one real tensor of shape (n_vehicles, 2, n_freq)."""
         return torch.stack(self.responses(ratios, frequencies_hz), dim=1).abs()
 
@@ -306,7 +302,7 @@ class ResponseGenerator:
         return replace(self, device=device)
 
 
-def angular(frequencies_hz: Tensor | ArrayLike, device: str) -> Tensor:
+def angular(frequencies_hz: ArrayLike, device: str) -> Tensor:
     """Return the angular frequencies on a device, [rad/s].
 
     ValueError unless they are (n_freq,), finite and not negative.

@@ -158,7 +158,7 @@ class VehicleFamily:
         """Return the vehicle with every number that it has as uncertain as before any trip."""
         return replace(self, distribution=LogNormal.prior(self._groups, self.quantities))
 
-    def sample_unmeasured(self, ratios: Tensor | ArrayLike, seed: int) -> Tensor:
+    def sample_unmeasured(self, ratios: ArrayLike, seed: int) -> Tensor:
         """Return ratios (n_vehicles, n_outputs or 1 more) with all ``columns``.
 
         The uncertain columns are drawn from the distribution, the others are 1.
@@ -227,16 +227,16 @@ class VehicleFamily:
         return Layout(*place, self.parts, self.vehicle.body_mass_kg)
 
     def _prepared(
-        self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
+        self, ratios: ArrayLike, frequencies_hz: ArrayLike
     ) -> tuple[dict[str, Tensor], Tensor]:
         """Return every number of the vehicles in SI units, and the angular frequencies [rad/s]."""
         return self._numbers(ratios), angular(frequencies_hz, self.device)
 
-    def _rows(self, ratios: Tensor | ArrayLike) -> Tensor:
+    def _rows(self, ratios: ArrayLike) -> Tensor:
         """Return checked ratios with all columns on the generator's device."""
         return self.complete(as_tensor(ratios).to(self.device, torch.float64))
 
-    def _numbers(self, ratios: Tensor | ArrayLike) -> dict[str, Tensor]:
+    def _numbers(self, ratios: ArrayLike) -> dict[str, Tensor]:
         """Return every number of the vehicle in SI units, each of shape (n_vehicles, 1)."""
         return self._in_si(self._rows(ratios))
 

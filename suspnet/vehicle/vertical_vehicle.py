@@ -27,9 +27,7 @@ from suspnet.vehicle.vertical_response import bounced, excited, moved, phasor, r
 class VerticalVehicle(VehicleFamily, ResponseGenerator):
     """Frequency responses axle box -> frame -> body of a vehicle with two pitching bogies."""
 
-    def responses(
-        self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
-    ) -> tuple[Tensor, Tensor]:
+    def responses(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> tuple[Tensor, Tensor]:
         """Return complex G_p (axle box to frame sensor) and G_s (frame to body sensor).
 
         They are the responses to the mean of both rails, each (n_vehicles, n_freq); see `channels`.
@@ -42,7 +40,7 @@ class VerticalVehicle(VehicleFamily, ResponseGenerator):
         box, frame, body = (moved(place, wheels) for place in self._felt(p, omega))
         return frame / box, body / frame
 
-    def channels(self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike) -> Tensor:
+    def channels(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> Tensor:
         """Return axle box, frame and body for each input, (n_vehicles, n_inputs, 3, n_freq), [-].
 
         The inputs are the mean of both rails, then what excites each wheelset alone if `parts` has
@@ -82,9 +80,7 @@ class VerticalVehicle(VehicleFamily, ResponseGenerator):
             return QuarterCar(vehicle, self.device)
         return replace(self, vehicle=vehicle)
 
-    def dynamic_stiffness(
-        self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
-    ) -> Tensor:
+    def dynamic_stiffness(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> Tensor:
         """Return kappa_p and kappa_s of the measured bogie, (n_vehicles, 2, n_freq), [N/m]."""
         p, omega = self._prepared(ratios, frequencies_hz)
         return torch.stack(
@@ -95,7 +91,7 @@ class VerticalVehicle(VehicleFamily, ResponseGenerator):
             dim=1,
         )
 
-    def motion_system(self, ratios: Tensor | ArrayLike) -> LinearSystem:
+    def motion_system(self, ratios: ArrayLike) -> LinearSystem:
         """Return the equations of motion of one vehicle, its ratios (5,), (6,) or all columns.
 
         Sensitivity and delay of sensors, and what excites single wheelsets, are no part of it.

@@ -12,7 +12,7 @@ from suspnet.curves.curves import CurveObserver, CurveSettings
 from suspnet.curves.extraction import FeatureTable, PeakFeatures
 from suspnet.vehicle import PARAMETERS
 
-SETTINGS = CurveSettings(step_hz=0.05, n_test=48, n_train=600, n_calibrate=None, cache_dir=None)
+SETTINGS = CurveSettings(step_hz=0.05, n_test=48, n_train=600, n_calibrate=None)
 MIXING = torch.as_tensor(np.random.default_rng(0).normal(size=(5, 8)))
 SCATTER = torch.as_tensor(np.random.default_rng(1).normal(size=(8, 8))) / 10
 PROJECTION = torch.as_tensor(np.random.default_rng(2).normal(size=(8, 6)))

@@ -18,7 +18,7 @@ from suspnet.vehicle import PARAMETERS, QuarterCar, VerticalVehicle
 
 DEGRADED = np.array([0.8, 1.4, 1.2, 0.9, 1.1])
 SPEED = 70.0
-SETTINGS = EstimateSettings(snr_db=30.0, minutes=10.0, cache_dir=None).bound(AM96)
+SETTINGS = EstimateSettings(snr_db=30.0, minutes=10.0).bound(AM96)
 QUARTER_CAR, PITCHING = QuarterCar(AM96), VerticalVehicle(AM96, speed_m_per_s=SPEED)
 THREE = [1, 1, 1]
 ON_BODY = (2,)
@@ -27,7 +27,7 @@ ON_BODY = (2,)
 
 def observer(generator, **changes):
     """Return a source of estimates on eleven bins about the bogie's resonance."""
-    options = {"snr_db": 30.0, "minutes": 10.0, "low_hz": 1.5, "high_hz": 2.0, "cache_dir": None}
+    options = {"snr_db": 30.0, "minutes": 10.0, "low_hz": 1.5, "high_hz": 2.0}
     return EstimateSettings(**(options | changes)).observer(generator)
 
 
@@ -276,7 +276,7 @@ def test_cross_level_of_next_to_nothing_leaves_the_information_of_one_input():
 )
 @pytest.mark.parametrize("generator", [QUARTER_CAR, PITCHING], ids=["quarter_car", "pitching"])
 def test_recordings_hold_at_least_what_their_iv_estimate_tells(generator, snr_db):
-    source = EstimateSettings(snr_db=snr_db, cache_dir=None).bound(AM96).observer(generator)
+    source = EstimateSettings(snr_db=snr_db).bound(AM96).observer(generator)
     ratios = np.random.default_rng(1).uniform(0.6, 1.6, (6, 5))
     recordings = recording_information(source, ratios, PARAMETERS, [THREE])[0]
     estimates = fisher_information(source, ratios, PARAMETERS)
@@ -295,7 +295,7 @@ def test_without_leakage_the_iv_estimate_loses_nothing(generator, snr_db, high_h
     Where the body hardly moves, at 20 Hz, it is an instrument of nothing in noise of 34 dB.
     """
     welch = {"window": "boxcar", "overlap": 0.0}
-    source = EstimateSettings(minutes=60.0, snr_db=snr_db, high_hz=high_hz, cache_dir=None, **welch)
+    source = EstimateSettings(minutes=60.0, snr_db=snr_db, high_hz=high_hz, **welch)
     source = source.bound(AM96).observer(generator)
     assert bool(source.beyond.any()) == (high_hz is None)
     recordings = cramer_rao(recording_information(source, DEGRADED[None], PARAMETERS, [THREE])[0])
@@ -329,9 +329,7 @@ def test_one_sensor_alone_tells_nothing():
 
 
 def test_two_sensors_at_each_place_halve_the_noise():
-    quiet = EstimateSettings(snr_db=30.0 + 10 * math.log10(2), minutes=10.0, cache_dir=None).bound(
-        AM96
-    )
+    quiet = EstimateSettings(snr_db=30.0 + 10 * math.log10(2), minutes=10.0).bound(AM96)
     twice = recording_information(
         SETTINGS.observer(QUARTER_CAR), DEGRADED[None], PARAMETERS, [[2, 2, 2]]
     )

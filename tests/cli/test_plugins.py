@@ -38,7 +38,7 @@ import suspnet
 suspnet.register_method("kernel_ridge", KernelRidge, "kernel ridge")
 suspnet.register_features(Levels)
 """
-SETTINGS = CurveSettings(200, 100, None, cache_dir=None)
+SETTINGS = CurveSettings(200, 100, None)
 TINY = ("data.n_train=200", "data.n_test=100", "data.n_calibrate=null", "figures=false")
 
 
@@ -299,13 +299,3 @@ def test_configuration_names_no_module(tmp_path):
     assert ended.returncode == 1
     assert "`model.kind` must be one of" in ended.stderr
     assert not (tmp_path / "ran").exists()
-
-
-def test_features_of_a_users_set_are_never_those_of_a_cache(quarter_car, task, tmp_path):
-    path = tmp_path / "with_levels.py"
-    path.write_text(MODULE)
-    plugins.load_plugins([str(path)])
-    settings = replace(SETTINGS, cache_dir=str(tmp_path / "cache"))
-    for extractor, is_cached in ((FEATURE_SETS["levels"](), False), (task().extractor, True)):
-        Problem(quarter_car, replace(task(), extractor=extractor), settings).features(0)
-        assert (tmp_path / "cache").exists() == is_cached

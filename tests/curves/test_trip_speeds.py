@@ -32,7 +32,7 @@ def model():
 
 
 def settings_at(speed, **changes):
-    return EstimateSettings(speed_m_per_s=speed, cache_dir=None, **changes).bound(AM96)
+    return EstimateSettings(speed_m_per_s=speed, **changes).bound(AM96)
 
 
 def observer_at(speed, **changes):

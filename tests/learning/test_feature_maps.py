@@ -7,7 +7,7 @@ from scipy import stats
 from sklearn.metrics.pairwise import rbf_kernel
 
 from suspnet.learning.feature_maps import orthogonal_fourier, random_fourier
-from suspnet.learning.map_kinds import MAPS
+from suspnet.learning.msvr import MAPS
 
 SIGMA = 1.3
 FOURIER = [random_fourier, orthogonal_fourier]

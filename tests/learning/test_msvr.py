@@ -123,62 +123,21 @@ def test_constant_outputs_are_predicted_without_a_warning(feature_map, epsilon):
     assert np.array_equal(model.predict(X), Y)
 
 
-@pytest.mark.parametrize("solver", ["newton", "irwls"])
-@pytest.mark.parametrize("epsilon", [0.0, 0.3])
-@pytest.mark.parametrize("feature_map", ["rff", "exact"])
-def test_a_sample_weight_is_that_number_of_samples(feature_map, epsilon, solver):
-    X, Y = smooth_data(0, 60)
-    counts = np.arange(60) % 3  # 0 leaves a sample out
-    setting = {"feature_map": feature_map, "epsilon": epsilon, "solver": solver, "tol": 1e-12}
-    weighted = small(**setting).fit(X, Y, sample_weight=counts)
-    repeated = small(**setting).fit(X.repeat(counts, axis=0), Y.repeat(counts, axis=0))
-    assert weighted.objective_ == pytest.approx(repeated.objective_, rel=1e-9)
-    np.testing.assert_allclose(weighted.predict(X), repeated.predict(X), atol=1e-5, rtol=0)
-    assert np.abs(small(**setting).fit(X, Y).predict(X) - weighted.predict(X)).max() > 1e-3
-
-
 @pytest.mark.parametrize(
     ("C", "sigma", "n_outputs"), [(1.0, 2.0, 2), (10.0, 0.3, 2), (10.0, 2.0, 1), (1.0, 1.0, 4)]
 )
 def test_exact_kernel_in_a_tube_starts_near_the_minimum(C, sigma, n_outputs):
     # a wide kernel has a low rank, a narrow one has not
     rng = np.random.default_rng(0)
-    X, weights = rng.uniform(-2, 2, (600, 3)), rng.uniform(0.5, 2, 600)
+    X = rng.uniform(-2, 2, (600, 3))
     Y = np.sin(X @ rng.normal(size=(3, n_outputs))) + 0.1 * rng.normal(size=(600, n_outputs))
     setting = {"C": C, "sigma": sigma, "epsilon": 0.3, "feature_map": "exact", "tol": 1e-10}
-    quick = MSVR(**setting).fit(X, Y, sample_weight=weights)
-    printed = MSVR(**setting, solver="irwls").fit(X, Y, sample_weight=weights)  # no warning
+    quick = MSVR(**setting).fit(X, Y)
+    printed = MSVR(**setting, solver="irwls").fit(X, Y)  # no warning
     assert quick.objective_ == pytest.approx(printed.objective_, rel=1e-9)
     np.testing.assert_allclose(quick.predict(X), printed.predict(X), atol=1e-4, rtol=0)
     assert quick.grad_norm_ < 1e-6
     assert quick.n_iter_ <= min(10, printed.n_iter_ / 3)
-
-
-def test_sample_weights_of_the_grid_are_those_of_the_exact_kernel():
-    pytest.importorskip("finufft")
-    X, Y = smooth_data(0, 60)
-    weights = np.random.default_rng(0).uniform(0.1, 3, 60)
-    found = [
-        small(feature_map=name, epsilon=0.1, kernel_tol=1e-7, sigma=1.5)
-        .fit(X[:, :2], Y, sample_weight=weights)
-        .predict(X[:, :2])
-        for name in ("equispaced", "exact")
-    ]
-    np.testing.assert_allclose(*found, atol=1e-4, rtol=0)
-
-
-@pytest.mark.parametrize(
-    ("weights", "message"),
-    [
-        (np.zeros(60), "at least one non-zero"),
-        (-np.ones(60), "[Nn]egative"),
-        (np.ones(59), "sample_weight"),
-    ],
-)
-def test_sample_weights_that_mean_nothing_are_refused(weights, message):
-    X, Y = smooth_data(0, 60)
-    with pytest.raises(ValueError, match=message):
-        small().fit(X, Y, sample_weight=weights)
 
 
 def test_exact_models_saved_with_a_whitening_are_read():
