@@ -13,11 +13,12 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from cells import Parser, Row
 from tabulate import tabulate
 
 from suspnet import Problem, TrainedModel, load_model
-from suspnet.bounds.feature_information import feature_loss
+from suspnet.bounds.information import cramer_rao, feature_information, output_bounds, over_bound
 from suspnet.curves.problem import TEST
 from suspnet.ground.storage import read_json, write_atomically
 from suspnet.runs.tables import in_digits, records_csv
@@ -69,7 +70,18 @@ def features_ratio(model: TrainedModel) -> dict[str, float]:
     """Return the bound of each output from the features over that from the curves."""
     settings = replace(model.settings, n_test=N_VEHICLES)
     problem = Problem(model.generator, model.task, settings, model.training["seed"])
-    return feature_loss(model.task, problem.observer, problem.ratios(TEST))
+    task, ratios = model.task, problem.ratios(TEST)
+    n_draws = max(64, 4 * len(task.extractor.names))
+    information = feature_information(
+        problem.observer, task.extractor, ratios, task.unknown, n_draws=n_draws
+    )
+    found = np.isfinite(information).all(axis=(1, 2))  # vehicles that have every feature
+    asked = [task.unknown.index(name) for name in task.outputs]
+    truth = ratios[found][:, task.output_indices]
+    of_features = cramer_rao(information[found])[:, asked]
+    bounds = of_features, output_bounds(task, problem.observer, ratios[found])
+    ratio = over_bound(*(np.sqrt(np.mean((bound / truth) ** 2, axis=0)) for bound in bounds))
+    return dict(zip(task.outputs, ratio.tolist(), strict=True))
 
 
 def records(name: str, folder: Path) -> list[Row]:

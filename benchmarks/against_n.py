@@ -197,24 +197,12 @@ def on_gpu(**options: Any) -> Callable[[float], Any]:
 
 
 METHODS = {
-    "auto": Method("MSVR, auto", msvr("auto"), "#009e73", "D"),
     "exact": Method("MSVR, exact", msvr("exact"), "black", **DENSE),
     "equispaced": Method(
         "MSVR, equispaced", msvr("equispaced"), "#d55e00", needs="finufft", is_for_wide=False
     ),
     "rff": Method("MSVR, rff", msvr("rff"), "#56b4e9"),
-    "rff_float32": Method(
-        "MSVR, rff, float32", msvr("rff", dtype="float32"), "#0072b2", is_for_wide=False
-    ),
     "rff_cuda": Method("MSVR, rff, cuda", on_gpu(), "#cc79a7", "s", device="cuda"),
-    "rff_float32_cuda": Method(
-        "MSVR, rff, float32, cuda",
-        on_gpu(dtype="float32"),
-        "#aa3377",
-        "s",
-        is_for_wide=False,
-        device="cuda",
-    ),
     "svr": peer("SVR", sklearn_svr, "s", has_tube=True, order=2),
     "public_msvr": peer(
         "public MSVR",

@@ -45,7 +45,6 @@ def reliability(model: str, protocol: str, group: str, options: argparse.Namespa
         f"protocol={protocol}",
         f"group={group}",
         f"data.n_train={N_TRAIN[model]}",
-        "data.cache_dir=null",
     ]
     with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
         config = compose("train", overrides)

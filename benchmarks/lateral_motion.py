@@ -22,7 +22,7 @@ from torch import Tensor
 
 from suspnet.cli.kinds import read_vehicles
 from suspnet.ground.parameters import COMPONENTS
-from suspnet.vehicle.spatial_numbers import ADDITIONS
+from suspnet.vehicle.quantities import ADDITIONS
 from suspnet.vehicle.spatial_vehicle import SpatialVehicle
 from suspnet.vehicle.track import acceleration_density, track_spectrum
 

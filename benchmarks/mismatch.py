@@ -90,7 +90,7 @@ def configuration(options, case, *overrides):
     """Return the configuration of experiment=trips."""
     rates = [sensor["rate_hz"] for sensor in SENSORS.values()]
     given = [f"data.rates_hz={rates}", f"data.minutes={options.minutes}", *options.train]
-    given += [f"generator.sensor_lateral_m={case.lateral_m}", f"data.cache_dir={options.cache}"]
+    given += [f"generator.sensor_lateral_m={case.lateral_m}"]
     if "friction" in case.effects:  # its file says so, that of the others says that there is none
         given += ["vehicle.primary_friction_share=0.15"]
     if "blow_off" in case.effects:
@@ -373,7 +373,6 @@ def main() -> None:
     try:
         options.output.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory() as temporary:
-            options.cache = Path(temporary) / "cache"
             run_all(options, Path(temporary))
     except (OSError, ValueError) as error:
         parser.error(f"{error}")

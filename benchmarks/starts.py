@@ -98,7 +98,7 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         worn = written(case, options.trips, Path(folder))
         settings, outcome, groups, _ = commissioned(case, Path(folder))
-    settings = replace(settings, n_train=options.train, n_test=options.curves, cache_dir=None)
+    settings = replace(settings, n_train=options.train, n_test=options.curves)
     task = suspnet.read_protocol("trips").task("all")
     problem = suspnet.Problem(outcome.generator, task, settings)
     start = time.process_time()

@@ -21,7 +21,7 @@ WHOLE_GRID = 364_816
 
 def source(n_curves):
     task = shipped_protocol("multi_location").task("primary")
-    settings = CurveSettings(n_train=n_curves, cache_dir=None)
+    settings = CurveSettings(n_train=n_curves)
     return Problem(QuarterCar(AM96), task, settings, threads=torch.get_num_threads())
 
 

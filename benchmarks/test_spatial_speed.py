@@ -8,8 +8,7 @@ import pytest
 import torch
 from vehicles import AM96
 
-from suspnet.vehicle.quantities import PARTS
-from suspnet.vehicle.spatial_numbers import ADDITIONS
+from suspnet.vehicle.quantities import ADDITIONS, PARTS
 from suspnet.vehicle.spatial_vehicle import SpatialVehicle
 
 FREQUENCIES = torch.linspace(0.3, 20.0, 170, dtype=torch.float64)

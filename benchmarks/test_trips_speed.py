@@ -58,7 +58,7 @@ def hour(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def model():
-    settings = EstimateSettings(1500, 100, SPEED, minutes=MINUTES, cache_dir=None)
+    settings = EstimateSettings(1500, 100, SPEED, minutes=MINUTES)
     generator = VerticalVehicle(AM96, speed_m_per_s=SPEED)
     problem = Problem(generator, shipped_protocol("trips").task("all"), settings, progress=False)
     return fit(problem, MSVR(1e4, 8.0, 1e-3, "nystroem", 512), NoLog())

@@ -78,7 +78,7 @@ def timed(name, seed, options):
         write_train_trips(trips, case.train(seed), ratios, fleet, seed, sides, speeds)
         given = [
             *("experiment=trips", "vehicle=am96", f"healthy={trips}"),
-            *(f"data.minutes={options.minutes}", f"data.cache_dir={temporary}/cache"),
+            f"data.minutes={options.minutes}",
             *("progress=false", *options.settings),
         ]
         if case.speeds is not None:

@@ -35,7 +35,7 @@ meaning. `--help` prints the same for what is chosen on the command line, and `-
 values alone:
 
     python train.py model=svr data=trips --help
-    python evaluate.py study=identifiability --help
+    python evaluate.py study=maintenance --help
 
 Choose a group as `GROUP=OPTION`, and set a single value as `KEY=VALUE`; see {doc}`usage </usage>`.
 A unit comes first, a range after it. A number without a unit is dimensionless. No number may be

@@ -70,7 +70,6 @@ settings = EstimateSettings(
     n_calibrate=300,
     minutes=MINUTES,
     rates_hz=tuple(RATES_HZ.values()),
-    cache_dir=None,
 ).bound(vehicle)
 family = VerticalVehicle(vehicle, speed_m_per_s=70.0, parts=("bushings",), distribution="prior")
 healthy = read_healthy(trips, family, settings, TripSettings(), n_first=N_HEALTHY)

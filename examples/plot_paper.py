@@ -37,7 +37,7 @@ plt.style.use("tableau-colorblind10")
 # in the second row k_p is halved. The rms of the noise is 2 % of that of the curve: 34 dB.
 
 generator = QuarterCar(read_vehicles()["am96"])
-settings = CurveSettings(n_train=500, n_test=500, n_calibrate=None, snr_db=34.0, cache_dir=None)
+settings = CurveSettings(n_train=500, n_test=500, n_calibrate=None, snr_db=34.0)
 observer = settings.observer(generator)
 frequencies_hz = observer.frequencies_hz
 ratios = torch.ones(2, 5, dtype=torch.float64)

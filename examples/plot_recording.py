@@ -96,7 +96,6 @@ settings = EstimateSettings(
     n_calibrate=500,
     minutes=MINUTES,
     rates_hz=tuple(RATES_HZ.values()),
-    cache_dir=None,
 )
 problem = Problem(vehicle, protocol.task("all"), settings, seed=0)
 method = MSVR(C=1e4, sigma=8.0, epsilon=1e-3, feature_map="nystroem", n_components=512)

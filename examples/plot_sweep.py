@@ -31,7 +31,7 @@ plt.style.use("tableau-colorblind10")
 folder = TemporaryDirectory()
 program = shutil.which("suspnet-train", path=sysconfig.get_path("scripts"))
 swept = ["model=msvr,mvgpr,linear", "data.snr_db=20,34,48", "hydra.sweep.dir=sweep"]
-small = ["data.n_train=300", "data.n_test=300", "data.n_calibrate=null", "data.cache_dir=null"]
+small = ["data.n_train=300", "data.n_test=300", "data.n_calibrate=null"]
 quiet = ["figures=false", "progress=false", "threads=1"]
 subprocess.run(
     [program, "-m", *swept, *small, *quiet], cwd=folder.name, check=True, capture_output=True

@@ -1,8 +1,8 @@
 """The public names for type checkers; their table is in `__init__.py`."""
 
 from suspnet._version import __version__ as __version__
-from suspnet.bounds.feature_information import feature_information as feature_information
 from suspnet.bounds.information import cramer_rao as cramer_rao
+from suspnet.bounds.information import feature_information as feature_information
 from suspnet.bounds.information import fisher_information as fisher_information
 from suspnet.bounds.sensor_information import recording_information as recording_information
 from suspnet.bounds.sensor_information import sensor_places as sensor_places

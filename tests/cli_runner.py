@@ -21,7 +21,7 @@ from suspnet.runs import scores, sweeps
 
 ROOT = Path(__file__).parents[1]
 FEW = ["data.n_train=150", "data.n_test=60", "data.n_calibrate=100"]
-QUIET = ["data.cache_dir=null", "progress=false", "figures=false"]
+QUIET = ["progress=false", "figures=false"]
 SMALL = [*FEW, "data.step_hz=0.05", *QUIET]
 
 

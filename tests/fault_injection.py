@@ -29,7 +29,7 @@ from suspnet.trains.trips.earlier import FOLDER
 
 RATES_HZ = (400.0, 250.0, 250.0)
 FEW = [
-    *("data.n_train=300", "data.n_test=100", "data.n_calibrate=100", "data.cache_dir=cache"),
+    *("data.n_train=300", "data.n_test=100", "data.n_calibrate=100"),
     *("progress=false", "threads=1", "model=linear"),
 ]
 SWEEP = ["-m", "seed=0,1", "figures=false", *FEW]

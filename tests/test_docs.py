@@ -70,7 +70,7 @@ def commands():
     for page in PAGES:
         for line in "\n".join(blocks(page)).replace("\\\n", " ").splitlines():
             for part in re.split(r"&&?|\|", line):
-                part = re.sub(r"^torchrun .*?train\.py", "python train.py", part.strip())
+                part = part.strip()
                 if part.startswith(tuple(PROGRAMS)):
                     found.append(part)
     return sorted(set(found))
@@ -129,7 +129,7 @@ def python_blocks(page):
 def runs(tmp_path_factory, task, quarter_car):
     """Return the folders of a model of curves and of one of trips, and a trip."""
     folder = tmp_path_factory.mktemp("runs")
-    settings = CurveSettings(300, 100, 200, cache_dir=None)
+    settings = CurveSettings(300, 100, 200)
     problem = Problem(quarter_car, task(), settings)
     save_model(folder / "train", calibrated(problem, fit(problem, LinearRegression(), None)))
     save_model(folder / "trips", model_at())

@@ -17,7 +17,7 @@ from suspnet.runs.fit import fit
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
-SETTINGS = CurveSettings(400, 100, None, cache_dir=None)
+SETTINGS = CurveSettings(400, 100, None)
 
 
 def example(kind, words):

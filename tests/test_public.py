@@ -30,7 +30,7 @@ from suspnet.runs.predict import calibrated, predict_stream
 from suspnet.trains.identification.from_recording import read_trip
 from suspnet.trains.spectra.segments import recording_segments
 
-SETTINGS = CurveSettings(300, 120, 300, low_hz=0.3, high_hz=12.0, step_hz=0.04, cache_dir=None)
+SETTINGS = CurveSettings(300, 120, 300, low_hz=0.3, high_hz=12.0, step_hz=0.04)
 
 
 @pytest.fixture(

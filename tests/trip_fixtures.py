@@ -73,7 +73,7 @@ def slow_model():
 def _trained(generator, n_train, snr_db, n_calibrate, changes):
     task, speed = shipped_protocol("trips", **changes).task("all"), generator.speed_m_per_s
     options = BAND | {"snr_db": snr_db, "minutes": MINUTES, "rates_hz": RATES_HZ}
-    settings = EstimateSettings(n_train, 300, n_calibrate, speed, cache_dir=None, **options)
+    settings = EstimateSettings(n_train, 300, n_calibrate, speed, **options)
     problem = Problem(generator, task, settings, progress=False)
     model = calibrated(problem, fit(problem, MSVR(1e4, 8.0, 1e-3, "nystroem", 512), NoLog()))
     errors = {"test_rms_percent": rms_percent(task, predict_stream(problem, model, TEST))}

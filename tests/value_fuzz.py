@@ -34,7 +34,7 @@ VALUES = [
 SECONDS = 3.0
 """Time after which a program that has neither ended nor complained is at work, and is ended."""
 MEMORY_BYTES = 12 << 30
-TINY = ["data.n_train=64", "data.n_test=32", "data.cache_dir=null", "progress=false", "threads=1"]
+TINY = ["data.n_train=64", "data.n_test=32", "progress=false", "threads=1"]
 SHORT = ["fleet.n_trips=1", "fleet.minutes=0.1", "workers=1", "progress=false"]
 SLOW_SENSORS = [f"fleet.sensors.{name}.rate_hz=200" for name in ("axle_box", "bogie", "body")]
 SLOW_SENSORS += ["fleet.minutes=8", "fleet.n_stops=0"]
@@ -48,10 +48,8 @@ BASES = {
         [*TINY, "data.n_calibrate=null", "search=table5", "figures=false"],
     ],
     "evaluate": [
-        ["run={run}", "data.n_test=32", "progress=false", "protocol=multi_location", "threads=1"],
+        ["run={run}", "data.n_test=32", "progress=false", "threads=1"],
         ["run={trips_run}", "trips={trips}", "progress=false", "monitor.workers=1"],
-        ["study=identifiability", "n_vehicles=20", "threads=1"],
-        ["study=identifiability", "data=trips", "protocol=trips", "generator=best", "n_vehicles=5"],
     ],
     "simulate": [
         [*SHORT],

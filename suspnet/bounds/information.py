@@ -1,8 +1,12 @@
-"""Cramer-Rao bounds, and the smallest error where stiffness and mass are not identifiable.
+"""Fisher information of curves and of features, and Cramer-Rao bounds.
 
 The covariance of an unbiased estimator is at least I^-1, with the Fisher information I = J^T J and
 J the derivative of the curves in units of their noise (`suspnet.curves.expected_spectra`). A
 Gaussian error has MAPE = sqrt(2 / pi) times its relative standard deviation.
+
+Features of noisy curves scatter about those of the noise-free curve with a covariance S. With J the
+derivative of the noise-free features, their information is J^T S^-1 J; the excess of its bound over
+that of the curves is the loss by the features.
 """
 
 from __future__ import annotations
@@ -12,28 +16,28 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
-from scipy.special import erfcx
 from torch import Tensor
 
+from suspnet.curves.curves import Directions
 from suspnet.curves.estimates import Misfit, Observer
-from suspnet.curves.observation import Directions
-from suspnet.curves.protocols import BODY_MASS_COLUMN, RESPONSES, Task, columns_of
-from suspnet.ground.parameters import BODY_MASS
+from suspnet.curves.extraction import FeatureSet
+from suspnet.curves.protocols import RESPONSES, Task, columns_of
 from suspnet.ground.tensors import as_tensor, threads
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.learning.least_squares import ONE_SIDED_DIFFERENCE
 from suspnet.vehicle import PARAMETERS
 
-ROWS = 256
-NODES = 24
-"""Number of nodes of the quadrature over the noise."""
-WIDEST, NARROWEST = 1e4, 1e12
-"""Largest bound used in a computation, relative to the range, as larger ones lose digits; and the
-range relative to the smallest bound."""
-SCALED_TOGETHER = ("k_s", "c_s", BODY_MASS)
-"""Parameters whose common factor leaves G_s of a quarter car unchanged."""
+ROWS, FEATURE_ROWS = 256, 1024
+"""Number of vehicles, and of curves whose features are extracted, at once."""
+N_DRAWS = 64
+"""Smallest number of noisy curves of each vehicle for the covariance of features."""
+FEATURE_STEP = 0.01
+"""Half the step of the central differences of features, relative to the parameter."""
+LEAST_FOUND = 0.5
+"""Smallest fraction of a vehicle's noisy curves that must have every feature."""
 
 
+@threads(1)  # spectra are computed in blocks as large as the cache of one core
 def fisher_information(
     observer: Observer,
     ratios: FloatArray,
@@ -52,41 +56,17 @@ def fisher_information(
     Weak bins do not count. A generator's uncertain numbers are unknown too, at the median of their
     distribution: see `without_uncertain`.
 
-    Parameters
-    ----------
-    ratios : array of shape (n_vehicles, 5), [-]
-    parameters, responses : sequences of str
-        From ``PARAMETERS`` and ``RESPONSES``; estimates from trips always use both responses.
-
-    Returns
-    -------
-    array of shape (n_vehicles, n_parameters, n_parameters)
-        With respect to ratios to healthy.
+    `ratios`: (n_vehicles, 5), [-]; `parameters` and `responses` are from ``PARAMETERS`` and
+    ``RESPONSES``; estimates from trips always use both responses. The result (n_vehicles,
+    n_parameters, n_parameters) is with respect to ratios to healthy.
     """
-    every = joint_information(observer, ratios, parameters, responses)
-    return without_uncertain(every, len(parameters))
-
-
-@threads(1)  # spectra are computed in blocks as large as the cache of one core
-def joint_information(
-    observer: Observer,
-    ratios: FloatArray,
-    parameters: Sequence[str],
-    responses: Sequence[str] = RESPONSES,
-    directions: Directions | None = None,
-) -> FloatArray:
-    """Return the information on parameters and uncertain numbers together, (n_vehicles, n, n).
-
-    Informations of independent curves add; `without_uncertain` includes the prior once.
-    """
-    directions = observer.directions if directions is None else directions
     used = [RESPONSES.index(name) for name in responses]
     blocks = []
     for rows in as_tensor(ratios).split(ROWS):
         misfit = observer.misfit(observer.noise_free(rows), rows, used)
-        jacobian = _joint_derivative(misfit, rows, parameters, directions)
+        jacobian = _joint_derivative(misfit, rows, parameters, observer.directions)
         blocks.append((jacobian @ jacobian.mT).cpu().numpy())
-    return np.concatenate(blocks)
+    return without_uncertain(np.concatenate(blocks), len(parameters))
 
 
 @threads(1)
@@ -179,6 +159,94 @@ def _nuisance(directions: Directions, misfit: Misfit, ratios: Tensor) -> Tensor:
     return torch.stack(moved, dim=1) / ONE_SIDED_DIFFERENCE
 
 
+def feature_information(
+    observer: Observer,
+    extractor: FeatureSet,
+    ratios: FloatArray,
+    parameters: Sequence[str] = PARAMETERS,
+    *,
+    n_draws: int = N_DRAWS,
+    seed: int = 0,
+) -> FloatArray:
+    """Return the information of features of noisy curves on some parameters, the others known.
+
+    With S estimated from n draws of p features, (J^T S^-1 J)^-1 for q parameters is a Wishart
+    matrix, on average (n - 1 - p + q) / (n - 1) times the true one (Muirhead, Aspects of
+    Multivariate Statistical Theory, theorem 3.2.11); the result is corrected for that. J is by
+    central differences. The information in the dependence of S on the parameters is neglected.
+
+    `extractor` is fitted; `ratios`: (n_vehicles, 5); `n_draws`: noisy curves of each vehicle,
+    ValueError if too few for the number of features. The result (n_vehicles, n_parameters,
+    n_parameters), with respect to ratios to healthy, is NaN where a feature is missing from the
+    noise-free curve, from a neighbouring one or from too many of the noisy ones.
+    """
+    n_features = len(extractor.names)
+    least = int(np.ceil((n_features + 2) / LEAST_FOUND))
+    if n_draws < least:
+        raise ValueError(f"`n_draws` must be >= {least} for {n_features} features, got {n_draws}")
+    columns = columns_of(parameters)
+    blocks = as_tensor(ratios).split(max(1, FEATURE_ROWS // n_draws))
+    seeds = np.random.SeedSequence(seed).generate_state(len(blocks))
+    information = [
+        _of_features(observer, extractor, rows, columns, n_draws, int(block_seed))
+        for rows, block_seed in zip(blocks, seeds, strict=True)
+    ]
+    return np.concatenate(information)
+
+
+def _of_features(
+    observer: Observer,
+    extractor: FeatureSet,
+    rows: Tensor,
+    columns: Sequence[int],
+    n_draws: int,
+    seed: int,
+) -> FloatArray:
+    """Return the information on the parameters in `columns`, shape (n, q, q)."""
+    bins = observer.frequencies_hz
+    noisy = observer.observe(rows.repeat_interleave(n_draws, dim=0), seed)
+    values = extractor.extract(noisy, bins.to(noisy.device)).values.unflatten(0, (-1, n_draws))
+    covariance, n_found = _feature_covariance(values)
+    jacobian = _feature_jacobian(observer, extractor, rows, columns).to(values)
+    # features in units of their own scatter: the matrix to be inverted has a unit diagonal
+    scatter = covariance.diagonal(dim1=1, dim2=2).sqrt()
+    correlation = covariance / (scatter[:, :, None] * scatter[:, None, :])
+    weighted = jacobian / scatter[:, :, None]
+    usable = torch.isfinite(weighted).all(dim=(1, 2)) & (n_found >= LEAST_FOUND * n_draws)
+    information = torch.full((len(rows), len(columns), len(columns)), torch.nan).to(values)
+    J = weighted[usable]
+    # correct the bias of the inverse of an estimated covariance
+    freedom = n_found[usable, None, None] - 1.0
+    shrinkage = (freedom - len(extractor.names) + len(columns)) / freedom
+    information[usable] = shrinkage * (J.mT @ torch.linalg.solve(correlation[usable], J))
+    return np.asarray(information.cpu().numpy())
+
+
+def _feature_covariance(values: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the covariance (n, p, p) of draws (n, n_draws, p) without NaN, and their number."""
+    complete = torch.isfinite(values).all(dim=2)
+    n_found = complete.sum(dim=1)
+    kept = torch.where(complete[:, :, None], values, 0.0)
+    mean = kept.sum(dim=1, keepdim=True) / n_found[:, None, None]
+    centred = torch.where(complete[:, :, None], values - mean, 0.0)
+    return centred.mT @ centred / (n_found - 1)[:, None, None], n_found
+
+
+def _feature_jacobian(
+    observer: Observer, extractor: FeatureSet, rows: Tensor, columns: Sequence[int]
+) -> Tensor:
+    """Return the derivative of the noise-free features, shape (n, p, q)."""
+    steps = torch.eye(len(PARAMETERS), dtype=rows.dtype)[list(columns)] * FEATURE_STEP
+    moved = rows[:, None, None] * (1 + torch.stack([steps, -steps]))  # (n, 2, q, 5)
+    curves = observer.noise_free(moved.flatten(0, 2))
+    bins = observer.frequencies_hz
+    values = extractor.extract(curves, bins.to(curves.device)).values
+    above, below = values.unflatten(0, (len(rows), 2, len(columns))).unbind(1)
+    size = (2 * FEATURE_STEP * rows[:, list(columns)]).to(values)
+    slopes: Tensor = (above - below) / size[:, :, None]
+    return slopes.mT  # (n, p, q)
+
+
 def cramer_rao(information: FloatArray) -> FloatArray:
     """Return the smallest standard deviations, shape (n, n_parameters); inf where unidentifiable.
 
@@ -198,39 +266,6 @@ def cramer_rao(information: FloatArray) -> FloatArray:
     bounds[usable] = np.sqrt(np.einsum("nii->ni", inverse)) / scale[usable]
     bounds[unseen] = np.inf
     return bounds
-
-
-def scale_ambiguity_bound(task: Task, ratios: FloatArray) -> dict[str, dict[str, float]]:
-    """Return the smallest MAPE and RMSE from abs(G_s) alone with the mass unknown.
-
-    G_s depends on k_s / M_s and c_s / M_s only. Given these two, without any noise, each level m of
-    the mass is possible where k_s = (k_s / M_s) m and c_s are within their range, with probability
-    proportional to m^2 (the density of k_s, c_s, uniform in their range, in terms of these
-    quotients). The mean over the levels has the smallest RMSE, the median weighted by 1/k_s the
-    smallest MAPE. Errors are averaged over `ratios`, (n_vehicles, 5).
-    """
-    levels = task.levels(BODY_MASS)
-    mass = ratios[:, BODY_MASS_COLUMN]
-    stiffness, damping = (ratios[:, PARAMETERS.index(name)] / mass for name in ("k_s", "c_s"))
-    candidates = levels[:, None]
-    low, high = task.lower - 1e-9, task.upper + 1e-9
-    possible = np.ones((len(levels), len(ratios)), dtype=bool)
-    for ratio in (stiffness, damping):
-        possible &= (ratio * candidates >= low) & (ratio * candidates <= high)
-    probability = possible * candidates**2
-    probability = probability / probability.sum(axis=0)
-    mean_mass = (probability * candidates).sum(axis=0)
-    median_mass = _weighted_median(levels, probability / candidates)
-    mape = float(100 * np.mean(np.abs(median_mass / mass - 1)))
-    return {
-        name: {
-            "mape_percent": mape,
-            "rmse": float(np.sqrt(np.mean((ratio * (mean_mass - mass)) ** 2))),
-        }
-        for name, ratio in zip(
-            SCALED_TOGETHER, (stiffness, damping, np.ones_like(mass)), strict=True
-        )
-    }
 
 
 def output_bounds(task: Task, observer: Observer, ratios: FloatArray) -> FloatArray:
@@ -256,22 +291,14 @@ def best_possible(
     """Return {output: {"mape_percent": ..., "rmse": ...}}: the smallest errors of a task.
 
     From Cramer-Rao `bounds` (n_vehicles, n_outputs) of `ratios` (n_vehicles, 5); inf where an
-    output is not identifiable. Where G_s alone cannot separate k_s, c_s and M_s, all unknown, it
-    still gives their quotients: the errors are then those of `scale_ambiguity_bound`.
+    output is not identifiable.
     """
     mape = math.sqrt(2 / math.pi) * relative_percent(task, bounds, ratios)
     rmse = np.sqrt(np.mean(bounds**2, axis=0))
-    least = {
+    return {
         name: {"mape_percent": float(mape[j]), "rmse": float(rmse[j])}
         for j, name in enumerate(task.outputs)
     }
-    scaled_together = task.responses == ("G_s",) and set(SCALED_TOGETHER) <= set(task.unknown)
-    if scaled_together and task.sampling == "grid":
-        of_scale = scale_ambiguity_bound(task, ratios)
-        least |= {
-            k: of_scale[k] for k in least if k in of_scale and not math.isfinite(least[k]["rmse"])
-        }
-    return least
 
 
 def relative_percent(task: Task, bounds: FloatArray, ratios: FloatArray) -> FloatArray:
@@ -284,40 +311,3 @@ def over_bound(errors: FloatArray, bounds: FloatArray) -> FloatArray:
     quotients = np.full(bounds.shape, np.nan)
     np.divide(errors, bounds, out=quotients, where=np.isfinite(bounds))
     return quotients
-
-
-def range_limited(bounds: FloatArray, ratios: FloatArray, low: float, high: float) -> FloatArray:
-    """Return the smallest rms error of one parameter if its range is known, shape (n,), [-].
-
-    For an estimate x = theta + s e, e standard normal, the best replacement is the mean of theta
-    given x and low <= theta <= high, all equally likely: the mean of a truncated normal. Its error,
-    averaged over e, is the bound. s is `bounds` (n,), theta is `ratios` (n,).
-    """
-    e, weights = np.polynomial.hermite_e.hermegauss(NODES)
-    s = np.clip(bounds, (high - low) / NARROWEST, WIDEST * (high - low))[:, None]
-    theta = ratios[:, None]
-    x = theta + s * e
-    a, b = (low - x) / s, (high - x) / s
-    error = (x + s * _truncated_mean(a, b) - theta) ** 2
-    return np.asarray(np.sqrt(error @ (weights / weights.sum())))
-
-
-def _truncated_mean(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the mean of a standard normal number truncated to a..b.
-
-    (phi(a) - phi(b)) / (Phi(b) - Phi(a)), both over phi(a), which may underflow; mirrored where the
-    interval lies on the left.
-    """
-    left = a + b < 0
-    a, b = np.where(left, -b, a), np.where(left, -a, b)
-    exponent = -(b - a) * (b + a) / 2  # phi(b) / phi(a) = exp(exponent)
-    weight = erfcx(a / math.sqrt(2)) - np.exp(exponent) * erfcx(b / math.sqrt(2))
-    mean = -math.sqrt(2 / math.pi) * np.expm1(exponent) / weight
-    return np.asarray(np.where(left, -mean, mean))
-
-
-def _weighted_median(levels: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return for each column of `weights` (n_levels, n) the median of ascending `levels`."""
-    cumulative = np.cumsum(weights, axis=0)
-    index = (cumulative >= 0.5 * cumulative[-1]).argmax(axis=0)
-    return np.asarray(levels[index])

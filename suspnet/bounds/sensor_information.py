@@ -13,13 +13,7 @@ multiple stationary time series, Journal of the Royal Statistical Society B 15, 
 
 with r from the correlation of the bins, ``Welch.correlated_bins``. N is known; S_w is one more
 unknown of each bin, eliminated by its Schur complement. After division of each sensor by the root
-of its noise, S is the identity plus A A^H, A = sqrt(S_w / N) H. With one input both steps have a
-closed form; q = |a|^2 and u_i the part of da_i perpendicular to a::
-
-    I_ij - I_is I_sj / I_ss = n / r sum over bins of 2 q / (1 + q) Re(u_i^H u_j)
-
-A change of all sensors alike, in magnitude or phase, cannot be separated from the track and is not
-part of u.
+of its noise, S is the identity plus A A^H, A = sqrt(S_w / N) H.
 
 Sensors on the body do not count above ``body_high_hz``, where G_s is not used: A is 0 there.
 
@@ -33,7 +27,6 @@ which `fisher_information` takes as known.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -42,8 +35,8 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from suspnet.bounds.information import derivative_of_rows, without_uncertain
+from suspnet.curves.curves import Directions, every_direction
 from suspnet.curves.estimate_observer import EstimateObserver
-from suspnet.curves.observation import Directions, every_direction
 from suspnet.curves.protocols import columns_of
 from suspnet.ground.tensors import as_tensor
 from suspnet.ground.types import FloatArray
@@ -56,28 +49,8 @@ THREE_SENSORS = ("axle box", "bogie", "body")
 
 
 def sensor_places(generator: ResponseGenerator) -> tuple[str, ...]:
-    """Return the names of the sensor places: axle box, bogie and body, then ``further_places``."""
-    return THREE_SENSORS + generator.further_places
-
-
-def _rates_hz(generator: ResponseGenerator, three: Sequence[float]) -> tuple[float, ...]:
-    """Return the sampling rate of each place from those of axle box, bogie and body, [Hz]."""
-    axle_box, bogie, body = three
-    return (axle_box, bogie, body, *((bogie, body, axle_box) if generator.further_places else ()))
-
-
-def place_channels(generator: ResponseGenerator, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
-    """Return each of `sensor_places` for each input, (n_vehicles, n_inputs, n_places, n_freq).
-
-    `ratios` has the shape (n_vehicles, 5) or is wider.
-    """
-    three = generator.channels(ratios, frequencies_hz)
-    return torch.cat([three, generator.further_channels(ratios, frequencies_hz)], dim=2)
-
-
-def _gains(generator: ResponseGenerator, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
-    """Return the root of each place's power over that of the mean track, (n, n_places, n_freq)."""
-    return place_channels(generator, ratios, frequencies_hz).abs().square().sum(dim=1).sqrt()
+    """Return the names of the places whose sensors `recording_information` counts."""
+    return THREE_SENSORS
 
 
 def recording_information(
@@ -86,45 +59,25 @@ def recording_information(
     """Return the information of recordings on some parameters, for each choice of sensors.
 
     By Whittle's likelihood, with the track's level unknown in each bin; the formulae are in the
-    docstring of the module ``suspnet.bounds.sensor_information``.
-
-    Parameters
-    ----------
-    observer : EstimateObserver
-        Length, track, noise and bins of the trip.
-    ratios : array of shape (n_vehicles, 5), [-]
-    parameters : sequence of str
-        From ``PARAMETERS``; the others are known.
-    counts : array of shape (n_choices, n_places)
-        Number of sensors of each choice at each of ``sensor_places(generator)``; two at one place
-        have half the noise density of one.
-
-    Returns
-    -------
-    array of shape (n_choices, n_vehicles, n_parameters, n_parameters)
-        With respect to ratios to healthy.
-
-    Raises
-    ------
-    ValueError
-        If the counts have another shape, or a choice has no sensor.
+    docstring of the module ``suspnet.bounds.sensor_information``. `observer` has length, track,
+    noise and bins of the trip; `ratios`: (n_vehicles, 5), [-]; `parameters` are from
+    ``PARAMETERS``, the others known; `counts` (n_choices, n_places): number of sensors at each of
+    ``sensor_places``, where two have half the noise density of one. ValueError if the counts have
+    another shape or a choice has no sensor. The result (n_choices, n_vehicles, n_parameters,
+    n_parameters) is with respect to ratios to healthy.
     """
     generator, settings = observer.generator, observer.settings
-    numbers = _checked(counts, len(sensor_places(generator)))
+    numbers = _checked(counts, len(THREE_SENSORS))
     bins = observer.frequencies_hz
-    rates_hz = _rates_hz(generator, settings.rates_hz)
-    noise = observer.mean.noise_densities(
-        functools.partial(_gains, generator), rates_hz, settings.snr_db
-    )
+    noise = observer.noise
     track = torch.as_tensor(observer.mean.track_density(bins.numpy()))
     level = (track / noise[:, None]).sqrt()  # (n_places, n_freq)
-    on_body = torch.tensor([place.startswith("body") for place in sensor_places(generator)])
-    level = level.masked_fill(on_body[:, None] & observer.beyond[1], 0.0)
+    level[2, observer.beyond[1]] = 0.0
     per_bin = settings.n_averages / settings.welch.correlated_bins
     uncertain = every_direction(generator)
     blocks = []
     for rows in as_tensor(ratios).split(ROWS):
-        seen = place_channels(generator, rows, bins)
+        seen = generator.channels(rows, bins)
         slopes = _slopes(generator, rows, bins, parameters, uncertain)
         seen, slopes = seen * level.to(seen.device), slopes * level.to(seen.device)
         found = [_without_track(seen, slopes, choice.to(seen.device)) for choice in numbers]
@@ -149,7 +102,7 @@ def _slopes(
     def parts(x: Tensor) -> Tensor:
         """Return real and imaginary parts of each place, for numbers of the vehicles."""
         vehicles = uncertain.vehicles(x[:, :n_columns], x[:, n_columns:])
-        return torch.view_as_real(place_channels(generator, vehicles, frequencies_hz))
+        return torch.view_as_real(generator.channels(vehicles, frequencies_hz))
 
     columns = [*columns_of(parameters), *range(n_columns, n_columns + uncertain.n)]
     return torch.view_as_complex(derivative_of_rows(parts, start, columns).contiguous())
@@ -158,33 +111,15 @@ def _slopes(
 def _without_track(a: Tensor, da: Tensor, count: Tensor) -> Tensor:
     """Return the sum over bins of one average's information, the track's level eliminated.
 
+    That is Re tr(X_i X_j) - Re tr(X_i X_s) Re tr(X_s X_j) / tr(X_s X_s), X_i = L^-1 dS_i L^-H with
+    L L^H = S = 1 + A A^H; X_s belongs to the level's logarithm.
+
     `a`: (n, n_inputs, n_places, n_freq) for one sensor at each place; `da`: its derivatives,
     (n, n_unknown, n_inputs, n_places, n_freq); `count`: (n_places,).
     """
     used = count > 0
     many = count[used].sqrt()[:, None]
     a, da = a[:, :, used] * many, da[:, :, :, used] * many
-    if a.shape[1] == 1:
-        return _of_one_input(a[:, 0], da[:, :, 0])
-    return _of_several_inputs(a, da)
-
-
-def _of_one_input(a: Tensor, da: Tensor) -> Tensor:
-    """Return sum over bins of 2 q / (1 + q) Re(u_i^H u_j), a (n, n_places, n_freq)."""
-    q = a.abs().square().sum(dim=1)[:, None, None]
-    along = (a.conj()[:, None] * da).sum(dim=2, keepdim=True) / q.where(q > 0, 1.0)
-    u = da - along * a[:, None]
-    size = (u.abs().square().sum(dim=(2, 3)), da.abs().square().sum(dim=(2, 3)))
-    u[size[0] <= ROUNDING * size[1]] = 0
-    flat = torch.view_as_real(u * (2 * q / (1 + q)).sqrt()).flatten(2)
-    return flat @ flat.transpose(1, 2)
-
-
-def _of_several_inputs(a: Tensor, da: Tensor) -> Tensor:
-    """Return sum over bins of Re tr(X_i X_j) - Re tr(X_i X_s) Re tr(X_s X_j) / tr(X_s X_s).
-
-    X_i = L^-1 dS_i L^-H with L L^H = S = 1 + A A^H; X_s belongs to the level's logarithm.
-    """
     a, da = a.movedim(-1, 1).mT, da.movedim(-1, 2).mT  # (n, [n_unknown,] n_freq, places, inputs)
     one = torch.eye(a.shape[-2]).to(a)
     whitening = torch.linalg.solve_triangular(

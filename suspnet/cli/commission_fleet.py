@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import logging
-import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -88,11 +87,6 @@ def train_fleet(
     trained first, then a ValueError is raised. `train_one` must be picklable.
     """
     check_values(HealthySettings, workers=config.workers)
-    if int(os.environ.get("WORLD_SIZE", "1")) > 1:
-        raise ValueError(
-            f"healthy={config.healthy} holds several suspensions, whose models cannot be spread by "
-            "torchrun: start it with python and workers=N"
-        )
     # finished runs stay; a resumed run trains only the missing ones
     failed = {group.name: group.error for group in groups if group.error}
     numbers = first_trips(config.n_healthy, [group.name for group in groups])

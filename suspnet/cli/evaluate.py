@@ -29,7 +29,6 @@ from suspnet.ground.parameters import Severity
 from suspnet.ground.settings import check_choice
 from suspnet.ground.storage import write_atomically
 from suspnet.runs.evaluate import FreshCurves, evaluate
-from suspnet.runs.identifiability import write_identifiability
 from suspnet.runs.language import speaking
 from suspnet.runs.sweeps import write_table6
 from suspnet.trains.history import History
@@ -39,7 +38,7 @@ from suspnet.trains.pages.output import check_documents, write_documents
 from suspnet.trains.pages.overview import Evaluated
 
 log = logging.getLogger(__name__)
-STUDIES = ("identifiability", "maintenance")
+STUDIES = ("maintenance",)
 ALARMS = {Severity.UNKNOWN: SOME_WITHOUT_ESTIMATE, Severity.NOTICE: NOTICE, Severity.ACT: ACT}
 
 
@@ -121,8 +120,6 @@ def _read_trips(
 
 def _score(config: DictConfig, runs: Sequence[Path], output: Path) -> None:
     """Score the models of some runs on fresh curves, and compare several in Table VI."""
-    if config.get("protocol"):
-        raise ValueError("protocol= is for study=identifiability: a model is tested on its own")
     if not isinstance(config.data, DictConfig):
         raise ValueError(f"`data` holds data.n_test and data.snr_db, got {config.data!r}")
     fresh = FreshCurves(
@@ -150,16 +147,5 @@ def run_study(config: DictConfig, folder: Path, history: Callable[[], History]) 
     """Run the chosen study, some of which need the history; return its exit code."""
     check_choice("study", config.study, STUDIES)
     program.save_config(config, folder)
-    if config.study == "identifiability":
-        write_identifiability(
-            build(config, "generator"),
-            build(config, "protocol"),
-            build(config, "data"),
-            folder,
-            group=config.group,
-            n_vehicles=config.n_vehicles,
-            seed=config.seed,
-        )
-        return FINE
     states = write_maintenance(history(), folder, board_settings(config, config.monitor))
     return worst(ALARMS.get(state.severity, FINE) for state in states)

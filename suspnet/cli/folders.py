@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import re
 import sys
 from collections.abc import Iterable
@@ -30,7 +29,7 @@ FLEET = "fleet.json"
 """Last file written by a training of several suspensions."""
 FINISHED = ("metrics.json", "speeds.json", FLEET)
 """Last files written by a training: of one model, several speeds or several suspensions."""
-NOT_COMPARED = ("resume", "progress", "threads", "workers", "data.cache_dir", "language", "dataset")
+NOT_COMPARED = ("resume", "progress", "threads", "workers", "language", "dataset")
 """Keys that change no number: runs that differ only in these count as the same."""
 FINE, MISTAKE, SOME_WITHOUT_ESTIMATE, NOTICE, ACT = 0, 1, 2, 3, 4
 """Exit codes: success; a mistake of the user; a trip without an estimate, or a parameter that
@@ -66,11 +65,6 @@ class OwnFolder(Callback):
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Choose the folder before Hydra makes it, and pass it to the jobs."""
-        if int(os.environ.get("WORLD_SIZE", "1")) > 1:
-            raise SystemExit(
-                "error: a multirun cannot be spread by torchrun: start it with python, and "
-                "hydra/launcher=joblib or hydra/launcher=slurm for several jobs at a time"
-            )
         _choose(config, "sweep")
         folder = Path(config.hydra.sweep.dir)
         to_resume[:] = [str(folder)]
@@ -238,7 +232,7 @@ def _compared(content: Any) -> Any:
 
 UNNAMED = {
     *("experiment", "study", "job", "run", "out", "progress", "figures", "threads", "device"),
-    *("workers", "data.cache_dir", "resume", "pdf", "xlsx", "language", "dataset"),
+    *("workers", "resume", "pdf", "xlsx", "language", "dataset"),
 }
 """Keys left out of folder names: the path shows them already, or they change no number."""
 MAX_BYTES = 100

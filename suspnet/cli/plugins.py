@@ -30,7 +30,7 @@ OPTION = "--plugin"
 NAME = re.compile(r"[a-z][a-z0-9_]*", re.ASCII)
 METHOD_NAMES = ("fit", "predict", "get_params", "set_params", "state", "restore")
 """Attributes that a registered method must have."""
-FLAGS = ("works_on_curves", "distributable", "gives_deviations")
+FLAGS = ("works_on_curves", "gives_deviations")
 """Class attributes of ``METHODS``; a registered method that lacks one gets False."""
 FEATURE_NAMES = ("kind", "positive", "parts", "names", "extract", "missing", "relative")
 """Attributes that a registered feature set must define itself."""

@@ -12,12 +12,11 @@ import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack, contextmanager, nullcontext, redirect_stderr
+from contextlib import ExitStack, contextmanager, nullcontext
 from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
 from string import Template
-from tempfile import TemporaryDirectory
 from types import ModuleType
 from typing import Any
 from urllib.parse import unquote
@@ -34,7 +33,7 @@ from omegaconf.errors import OmegaConfBaseException
 from suspnet.cli import folders, reference, signals
 from suspnet.cli.config_files import CONFIGS, as_written, read_values, store_tables
 from suspnet.cli.loader import CheckedLoader
-from suspnet.cli.typed_words import as_overrides, quoted
+from suspnet.cli.typed_words import as_overrides
 from suspnet.ground import progress
 from suspnet.ground.parameters import DEFAULT_LIMITS, read_limits
 from suspnet.ground.settings import Declared, Setting
@@ -172,11 +171,12 @@ def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
     HYDRA_FULL_ERROR=1 shows the traceback instead.
     """
     guard_joblib()
+    if "TORCHELASTIC_RUN_ID" in os.environ:  # every process would write the same run
+        sys.exit("error: torchrun cannot spread a program over processes: start it with python")
     try:
         with (
             progress.visible(),
             signals.terminable() if unwinds else nullcontext(),
-            _one_writer(),
             _whole_errors(),
             _checked_loader(),
         ):
@@ -237,39 +237,6 @@ def _checked_loader() -> Iterator[None]:
 def _help(self: Any, help_cfg: DictConfig, *_: Any, **__: Any) -> str:
     """Return the help of a configuration; Hydra's own method first lists all groups, slowly."""
     return Template(help_cfg.template).safe_substitute()
-
-
-@contextmanager
-def _one_writer() -> Iterator[None]:
-    """Let only the first torchrun process write files and print."""
-    with ExitStack() as stack:
-        stack.callback(_leave_ranks)
-        if int(os.environ.get("RANK", "0")) > 0:
-            nowhere = stack.enter_context(TemporaryDirectory())
-            stack.enter_context(redirect_stderr(stack.enter_context(open(os.devnull, "w"))))
-            sys.argv += [
-                f"hydra.run.dir={quoted(nowhere)}",
-                f"hydra.sweep.dir={quoted(nowhere)}",
-                "hydra/job_logging=none",
-                "progress=false",
-            ]
-            stack.enter_context(_without_message())
-        yield
-
-
-@contextmanager
-def _without_message() -> Iterator[None]:
-    """Suppress an exit's message: the first process prints its own."""
-    try:
-        yield
-    except SystemExit as error:
-        raise SystemExit(1 if isinstance(error.code, str) else error.code) from None
-
-
-def _leave_ranks() -> None:
-    """Leave the torchrun process group if this process has joined it."""
-    if "suspnet.learning.ranks" in sys.modules:
-        sys.modules["suspnet.learning.ranks"].stop()
 
 
 def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:

@@ -34,7 +34,6 @@ from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
 from suspnet.ground.settings import check_choice, check_values
 from suspnet.ground.wording import command, span
-from suspnet.learning import ranks
 from suspnet.runs.dataset import write_dataset
 from suspnet.runs.fit import check_hyperparameters
 from suspnet.runs.language import check_language, speaking
@@ -82,7 +81,6 @@ def main(config: DictConfig) -> None:
     if config.get("tube"):
         _study_tube(config, program.run_folder())
         return
-    ranks.start(config.device)
     config.n_healthy = read_numbers(config.n_healthy)
     folder, groups = program.run_folder(), suspensions(config)
     if len(groups) == 1:

@@ -140,9 +140,7 @@ class CurveFeatures:
         components = noise_components(rows, noisy_rows, self.n_components, self.explained)
         return replace(self, basis=CurveBasis(frequencies, healthy, *components, floor))
 
-    def extract(
-        self, responses: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
-    ) -> FeatureTable:
+    def extract(self, responses: ArrayLike, frequencies_hz: ArrayLike) -> FeatureTable:
         """Return the features of curves, NaN and reason 1 where a curve is not finite.
 
         `responses` (n_curves, 2, n_freq) are G_p and G_s, or magnitudes if the basis was learnt

@@ -19,8 +19,8 @@ import torch
 from torch import Tensor
 
 from suspnet.curves.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
+from suspnet.curves.curves import Directions, directions
 from suspnet.curves.expected_spectra import EstimateMisfit, ExpectedSpectra, bridged, weak_bins
-from suspnet.curves.observation import Directions, directions
 from suspnet.curves.speeds import Speeds
 from suspnet.vehicle import PARAMETERS, ResponseGenerator
 from suspnet.vehicle.track import track_spectrum
@@ -101,12 +101,11 @@ class EstimateObserver:
         return self if self._is_nominal else EstimateObserver(self.settings, self.generator)
 
     @cached_property
-    def _noise(self) -> Tensor:
+    def noise(self) -> Tensor:
         """Noise density of each sensor, (3,), [(m/s^2)^2/Hz]."""
         if self._nominal is not self:
-            return self._nominal._noise
-        settings = self.settings
-        return self.mean.noise_densities(self.mean.gains, settings.rates_hz, settings.snr_db)
+            return self._nominal.noise
+        return self.mean.noise_densities(self.settings.rates_hz, self.settings.snr_db)
 
     @cached_property
     def _healthy(self) -> CrossSpectra:
@@ -197,4 +196,4 @@ class EstimateObserver:
     def expected(self, ratios: Tensor) -> CrossSpectra:
         """Return the mean of the estimated spectra of each vehicle, (n_vehicles, 3, n_freq)."""
         auto, cross = self.mean(ratios)
-        return CrossSpectra(auto + self._noise.to(auto)[:, None], cross, self.settings.n_averages)
+        return CrossSpectra(auto + self.noise.to(auto)[:, None], cross, self.settings.n_averages)

@@ -11,10 +11,15 @@ import torch
 from torch import Tensor
 
 from suspnet.curves.cross_spectra import Method
-from suspnet.curves.curves import CurveMisfit, CurveObserver, CurveSettings
+from suspnet.curves.curves import (
+    MOST_BINS,
+    Counts,
+    CurveMisfit,
+    CurveObserver,
+    CurveSettings,
+)
 from suspnet.curves.estimate_observer import EstimateObserver
 from suspnet.curves.expected_spectra import EstimateMisfit
-from suspnet.curves.observation import CACHE_FOLDER, MOST_BINS, CacheFolder, Counts
 from suspnet.curves.welch import Welch
 from suspnet.ground.settings import setting
 from suspnet.vehicle import QuarterCar, ResponseGenerator, Vehicle
@@ -124,7 +129,6 @@ class EstimateSettings(Counts):
         above=0,
         most=1e6,
     )
-    cache_dir: CacheFolder = CACHE_FOLDER
 
     def __post_init__(self) -> None:
         self.check()
@@ -208,16 +212,6 @@ class EstimateSettings(Counts):
     def observer(self, generator: ResponseGenerator) -> EstimateObserver:
         """Return the observer that draws estimates for a generator's vehicles."""
         return EstimateObserver(self, generator)
-
-    def words(self) -> str:
-        """Return a description of the trips and their noise."""
-        band = "" if self.low_hz is None else f", {self.low_hz:.3g} to {self.high_hz:.3g} Hz"
-        bias = "" if self.method == "IV" else f" The bias of {self.method} in noise is known."
-        return (
-            f"Trips of {self.minutes:g} minutes at {self.speed_m_per_s:g} m/s, track "
-            f"{self.track}{band}. White noise of each sensor: {self.snr_db:g} dB over its whole "
-            f"band. All three sensors are used, whichever curves the protocol names.{bias}"
-        )
 
 
 Observation = CurveSettings | EstimateSettings

@@ -28,7 +28,6 @@ from suspnet.vehicle.track import TrackSpectrum, acceleration_density
 if TYPE_CHECKING:
     from suspnet.curves.estimate_observer import EstimateObserver
 
-Responses = Callable[[Tensor, Tensor], Tensor]
 OfFrequencies = Callable[[FloatArray], FloatArray]
 SPEED = len(PARAMETERS)
 """Column of the relative speed in ratios that include it."""
@@ -103,22 +102,16 @@ class ExpectedSpectra:
         return acceleration_density(self._track, frequencies_hz, self._speed_m_per_s)
 
     @threads(1)
-    def noise_densities(
-        self, responses: Responses, rates_hz: Sequence[float], snr_db: float
-    ) -> Tensor:
-        """Return the noise densities of sensors with these responses to the mean track."""
+    def noise_densities(self, rates_hz: Sequence[float], snr_db: float) -> Tensor:
+        """Return the noise densities of the three sensors, for the healthy vehicle's signals."""
         healthy = torch.ones(1, len(PARAMETERS), dtype=torch.float64)
-        return noise_densities(
-            lambda grid: responses(healthy, torch.as_tensor(grid))[0].abs().square().cpu().numpy(),
-            self.track_density,
-            rates_hz,
-            snr_db,
-        )
 
-    def gains(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
-        """Return the root of each channel's power over that of the mean track, (n, 3, n_freq)."""
-        channels = self._generator.channels(ratios, frequencies_hz)
-        return channels.abs().square().sum(dim=1).sqrt()
+        def gains(grid: FloatArray) -> FloatArray:
+            channels = self._generator.channels(healthy, torch.as_tensor(grid))[0]
+            power: FloatArray = channels.abs().square().sum(dim=0).cpu().numpy()
+            return power
+
+        return noise_densities(gains, self.track_density, rates_hz, snr_db)
 
     def _at_speed(self, ratios: Tensor, relative: float, weight: float) -> tuple[Tensor, Tensor]:
         """Return ratios with the relative speed as a column, and the track's weighted density."""

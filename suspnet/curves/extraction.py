@@ -203,9 +203,7 @@ class PeakFeatures(FeatureSet):
             "times that of G_s"
         )
 
-    def extract(
-        self, curves: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
-    ) -> FeatureTable:
+    def extract(self, curves: ArrayLike, frequencies_hz: ArrayLike) -> FeatureTable:
         """Return the features of curves (n_curves, 2, n_freq), G_p and G_s or their magnitudes.
 
         ValueError if shapes disagree or the frequencies are not ascending and evenly spaced.

@@ -111,11 +111,11 @@ class Peaks:
 
 
 def findpeaks(
-    magnitude: Tensor | ArrayLike,
-    frequencies_hz: Tensor | ArrayLike,
+    magnitude: ArrayLike,
+    frequencies_hz: ArrayLike,
     *,
-    low_hz: Tensor | ArrayLike = 0.0,
-    high_hz: Tensor | ArrayLike = math.inf,
+    low_hz: ArrayLike = 0.0,
+    high_hz: ArrayLike = math.inf,
     fit: PeakFit | None = None,
 ) -> Peaks:
     """Return the largest peak of each curve within its band.
@@ -206,9 +206,7 @@ class SmoothedCurves:
             target = raised.log_()
         return cls(frequencies_hz, finite, smoothed, target, weight)
 
-    def peaks(
-        self, fit: PeakFit, low_hz: Tensor | ArrayLike = 0.0, high_hz: Tensor | ArrayLike = math.inf
-    ) -> Peaks:
+    def peaks(self, fit: PeakFit, low_hz: ArrayLike = 0.0, high_hz: ArrayLike = math.inf) -> Peaks:
         """Return the largest peak of each curve within its band; see ``findpeaks``."""
         centre, interior = _largest(self.smoothed, self.frequencies_hz, low_hz, high_hz, fit.tilt)
         if fit.shape == "half_prominence":
@@ -226,8 +224,8 @@ class SmoothedCurves:
 def _largest(
     smoothed: Tensor,
     frequencies_hz: Tensor,
-    low_hz: Tensor | ArrayLike,
-    high_hz: Tensor | ArrayLike,
+    low_hz: ArrayLike,
+    high_hz: ArrayLike,
     tilt: float,
 ) -> tuple[Tensor, Tensor]:
     """Return where the tilted curve is largest in its band, and whether that is a maximum."""

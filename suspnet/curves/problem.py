@@ -5,28 +5,20 @@ Degraded vehicles -> noisy curves -> features, block by block.
 
 from __future__ import annotations
 
-import hashlib
-import inspect
-import json
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
-from typing import Any
-from uuid import uuid4
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet._version import __version__
 from suspnet.curves.estimates import Observation, Observer
 from suspnet.curves.extraction import FeatureSet, FeatureTable, PeakFeatures
 from suspnet.curves.protocols import BODY_MASS_COLUMN, RESPONSES, TEST_STREAM, Task
-from suspnet.ground.cache import Cache, code_hash
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.settings import check_number
 from suspnet.ground.tensors import as_tensor, threads
@@ -50,25 +42,10 @@ STREAM_NAMES = ("training", "test", "calibration")
 class Problem:
     """A learning problem, and the source of its noisy curves and their features.
 
-    Parameters
-    ----------
-    generator : ResponseGenerator
-        The source of frequency responses.
-    task : Task
-    settings : Observation
-        How curves are observed; missing ends of the band follow from the generator's vehicle.
-    seed : int
-        Seed of vehicles and noise; block b of stream s draws its noise from (seed, s, b) alone.
-    threads : int
-        Number of blocks of curves generated in parallel.
-    progress : bool
-        Show a progress bar.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If generator or task are none, seed or threads is no whole number, or the vehicle leaves no
-        band.
+    `settings` say how curves are observed; missing ends of the band follow from the generator's
+    vehicle. `seed` is that of vehicles and noise: block b of stream s draws its noise from (seed,
+    s, b) alone. `threads` blocks of curves are generated in parallel. TypeError or ValueError if
+    generator or task are none, a number is not whole, or the vehicle leaves no band.
     """
 
     generator: ResponseGenerator
@@ -131,25 +108,6 @@ class Problem:
         bins = self.observer.frequencies_hz.to(healthy.device)
         return extractor.fitted(clean, noisy, healthy, bins)
 
-    def features(self, stream: int, part: slice | None = None) -> FeatureData:
-        """Return the features of a stream's curves, from the cache if possible.
-
-        `stream` is ``TRAIN``, ``TEST`` or ``CALIBRATE``; `part` a range of batches of ``BATCH``
-        curves, None is all. ValueError if the grid has fewer curves, or the healthy vehicle lacks a
-        peak.
-        """
-        if self.settings.cache_dir is None:
-            return self._make_features(stream, part)
-        cache = Cache(self.settings.cache_dir, "features")
-        which = {} if part is None else {"part": [part.start, part.stop]}
-        made_from = self.describe(stream) | which
-        cached = cache.read(made_from)
-        if cached is not None:
-            return FeatureData(**cached[0])
-        data = self._make_features(stream, part)
-        cache.write(made_from, asdict(data))
-        return data
-
     def ratios(self, stream: int) -> FloatArray:
         """Return the parameter ratios of a stream's vehicles, shape (n_curves, 5), [-]."""
         wanted = self._wanted(stream)
@@ -211,22 +169,22 @@ class Problem:
         """Return the number of blocks that hold `n_curves`."""
         return -(-n_curves // BLOCK)
 
-    def n_batches(self, n_curves: int) -> int:
-        """Return the number of batches that hold `n_curves`."""
-        return -(-n_curves // BATCH)
+    def features(self, stream: int, n_first: int | None = None) -> FeatureData:
+        """Return the features of a stream's curves, computed in threads; NaN where one is missing.
 
-    def _make_features(self, stream: int, part: slice | None) -> FeatureData:
-        """Return the features of a stream, computed in threads; NaN where one is missing."""
+        `stream` is ``TRAIN``, ``TEST`` or ``CALIBRATE``; `n_first`: of so many curves only.
+        ValueError if the grid has fewer curves, or the healthy vehicle lacks a peak.
+        """
         ratios = self.ratios(stream)
-        batches = range(self.n_batches(len(ratios)))[part or slice(None)]
-        asked = slice(batches.start * BATCH, batches.stop * BATCH)
+        made = slice(0, len(ratios) if n_first is None else -(-n_first // BLOCK) * BLOCK)
+        ratios, asked = ratios[made], slice(0, n_first)
         healthy = self.healthy_features()
         values = np.empty((len(ratios), len(healthy)))
         extractor = self.extractor
         reasons = np.empty((len(ratios), len(extractor.parts)), dtype=np.int64)
 
-        def make(batch: int) -> int:
-            rows = slice(batch * BATCH, min((batch + 1) * BATCH, len(ratios)))
+        def make(start: int) -> int:
+            rows = slice(start, min(start + BATCH, len(ratios)))
             blocks = range(rows.start // BLOCK, self.n_blocks(rows.stop))
             noisy = torch.cat([self.curves(ratios, stream, block) for block in blocks])
             table = self._extracted(self.observer.for_features(noisy))
@@ -235,51 +193,14 @@ class Problem:
             return len(noisy)
 
         name = f"{self.task.protocol}/{self.task.group} {STREAM_NAMES[stream]} curves"
-        n_curves = len(ratios[asked])
-        bar = progress_bar(name, n_curves, unit="curve", shown=self.progress)
+        bar = progress_bar(name, len(ratios), unit="curve", shown=self.progress)
         with bar, pool_of(self.threads) as pool:
-            for n_made in pool.map(make, batches):
+            for n_made in pool.map(make, range(0, len(ratios), BATCH)):
                 bar.update(n_made)
         mass = [ratios[:, BODY_MASS_COLUMN]] if self.task.mass_known else []
         inputs = np.column_stack([values, *mass])
         outputs = ratios[:, self.task.output_indices]
         return FeatureData(inputs[asked], outputs[asked], ratios[asked], reasons[asked])
-
-    def describe(self, stream: int) -> dict[str, Any]:
-        """Return everything that determines the features, as JSON-able values (the cache key)."""
-        settings = asdict(self.settings)
-        for name in ("cache_dir", "n_train", "n_test", "n_calibrate"):
-            del settings[name]
-        description = {
-            "generator": [type(self.generator).__name__, asdict(self.generator)],
-            "task": self.task.describe(),
-            "settings": [self.settings.kind, settings],
-            "n_curves": self._wanted(stream),
-            "seed": self.seed,
-            "stream": stream,
-            "version": __version__,
-            "code": code_hash("vehicle", "curves"),
-        }
-        if not self.task.extractor.is_fitted:
-            wanted = self._wanted(TRAIN)
-            description["learnt_from"] = wanted if wanted == "all" else min(int(wanted), LEARN_FROM)
-        if not type(self.task.extractor).__module__.startswith("suspnet."):
-            description["own_features"] = _code_of(type(self.task.extractor))
-        plain: dict[str, Any] = json.loads(json.dumps(description))
-        return plain
-
-
-def _code_of(feature_set: type) -> str:
-    """Return a hash of the file of a user's feature set; of its own text in a notebook.
-
-    A set whose text is unknown gets a new value each time, so that no cache file is read for it.
-    """
-    try:
-        file = inspect.getsourcefile(feature_set)
-        text = Path(file or "").read_text() if file else inspect.getsource(feature_set)
-    except (OSError, TypeError):
-        text = uuid4().hex
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -309,7 +230,10 @@ class FeatureData:
         """
         kept = self.valid
         if not kept.any():
-            raise ValueError(none_complete(len(kept), self.reasons, extractor))
+            texts = Counter(map(extractor.missing, self.reasons) if extractor is not None else ())
+            usual = max(texts, key=texts.__getitem__, default="")  # what is missing most often
+            what = f": {usual}" if usual else ""
+            raise ValueError(f"none of the {len(kept)} curves has every feature{what}")
         return self.subset(kept)
 
     def first(self, n_curves: int) -> FeatureData:
@@ -321,13 +245,6 @@ class FeatureData:
         return FeatureData(
             self.inputs[rows], self.outputs[rows], self.ratios[rows], self.reasons[rows]
         )
-
-
-def none_complete(n_curves: int, reasons: IntArray, extractor: FeatureSet | None) -> str:
-    """Return the message that no curve has every feature, with what is missing most often."""
-    texts = Counter(map(extractor.missing, reasons)) if extractor is not None else Counter[str]()
-    usual = max(texts, key=texts.__getitem__, default="")
-    return f"none of the {n_curves} curves has every feature" + f": {usual}" * bool(usual)
 
 
 @contextmanager

@@ -48,36 +48,10 @@ def columns_of(parameters: Sequence[str]) -> list[int]:
 class Task:
     """One group of one protocol: everything that defines a learning problem.
 
-    Attributes
-    ----------
-    protocol, group : str
-    varied_sets : tuple of tuples of str
-        Sets of parameters that vary together while the others stay healthy, such as the groups of
-        Table IV. Curves are drawn from each of them.
-    outputs : tuple of str
-        Parameters that are estimated.
-    responses : tuple of str
-        From ``RESPONSES``: the curves that may be used.
-    extractor : FeatureSet
-    sampling, test_sampling : {"grid", "sobol"}
-        How training and calibration vehicles are drawn, and test vehicles.
-    lower, upper : float
-        Range of the suspension's ratios, [-].
-    mass_lower, mass_upper : float
-        Range of the car-body mass ratio, [-].
-    step, mass_step : float
-        Grid steps of the suspension's parameters and of the mass, [-].
-    mass_known : bool
-        Whether the measured car-body mass ratio is an additional input.
-    log_ratios : bool
-        Whether the model uses logarithms of the ratios to healthy instead of the ratios.
-    standardised : bool
-        Whether inputs and outputs have mean 0 and deviation 1, or are relative changes as they are.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a name is unknown or a number is out of range.
+    `varied_sets` are sets of parameters that vary together while the others stay healthy, such as
+    the groups of Table IV; curves are drawn from each of them. `outputs` are estimated, `responses`
+    from ``RESPONSES`` may be used; the others are as in `Protocol`, ranges relative to healthy.
+    TypeError or ValueError if a name is unknown or a number is out of range.
     """
 
     protocol: str
@@ -259,15 +233,8 @@ class Task:
 class Protocol:
     """A formulation of the problem; `task` gives the learning problem of one of its groups.
 
-    Parameters
-    ----------
-    features : mapping, optional
-        Further arguments of ``PeakFeatures``.
-
-    Raises
-    ------
-    ValueError
-        If a name is unknown or a setting is out of range.
+    `features` are further arguments of ``PeakFeatures``. ValueError if a name is unknown or a
+    setting is out of range.
     """
 
     name: Annotated[str, Setting("Name of the protocol in tables and model files", rule="text")]

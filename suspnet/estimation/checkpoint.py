@@ -6,7 +6,7 @@ import hashlib
 import json
 import warnings
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -250,10 +250,10 @@ def _checked(
         model = _build(content, dict(arrays), device)
         check_model(model)
         built = _described(model)
-    # what depends on the machine, not on the model
-    for part, key in (("parameters", "device"), ("generator", "device"), ("settings", "cache_dir")):
+    # the device is that of the machine, not of the model
+    for part in ("parameters", "generator"):
         if part in built:
-            built[part][key] = content[part].get(key)
+            built[part]["device"] = content[part].get("device")
     if isinstance(model, BogieModel):
         built["bogie"]["generator"]["device"] = content["bogie"]["generator"].get("device")
     described = {key: value for key, value in content.items() if key not in NOT_OF_THE_MODEL}
@@ -290,20 +290,24 @@ def _check_description(path: Path, content: Any) -> None:
 
 
 def _migrated(content: dict[str, Any]) -> dict[str, Any]:
-    """Return the content of model.json of any version that is read as one of this version.
-
-    Until version 9 a bogie lay beside a fitted method, which is not needed.
-    """
+    """Return the content of model.json of any version that is read as one of this version."""
     version = content["schema_version"]
     if version == SCHEMA_VERSION:
         return content
-    content = content | {"schema_version": SCHEMA_VERSION}
+    plain = {k: v for k, v in content["settings"].items() if k != "cache_dir"}
+    content = content | {"settings": plain, "schema_version": SCHEMA_VERSION}
     bogie = content.pop("bogie", None)
-    if bogie is not None:
+    if bogie is not None:  # up to 9: it lay beside a fitted method, which is not needed
         law = content["training"].get("commissioned", {}).get(NOTE)
         kept = ("schema_version", "suspnet_version", "generator", "settings", "training")
         own = {key: content[key] for key in (*kept, "arrays_sha256")}
         return own | {"model": BOGIE, "bogie": bogie | {"law": law}}
+    if content["model"] == "msvr":  # up to 9: whether processes shared the fit, and its precision
+        parameters = dict(content["parameters"])
+        parameters.pop("distributed")
+        if parameters.pop("dtype") != "float64":
+            raise ModelFileError("models of dtype=float32 are no longer read; train again")
+        content = content | {"parameters": parameters}
     return _of_version_9(content) if version < 9 else content
 
 
@@ -327,7 +331,7 @@ def _build(
     generator |= {"vehicle": Vehicle(**generator["vehicle"]), "device": device}
     of_any: dict[str, Any] = {
         "generator": _untagged(generator, GENERATORS),
-        "settings": _untagged(_without_folder(content["settings"]), OBSERVATIONS),
+        "settings": _untagged(content["settings"], OBSERVATIONS),
         "training": content["training"],
     }
     if content["model"] == BOGIE:
@@ -370,13 +374,6 @@ def _build(
         **of_any,
         **calibrated,
     )
-
-
-def _without_folder(settings: dict[str, Any]) -> dict[str, Any]:
-    """Return settings with the default cache folder or none: a file must not name another one."""
-    default = {field.name: field.default for field in fields(OBSERVATIONS[settings["kind"]])}
-    folder = settings.get("cache_dir")
-    return settings | {"cache_dir": folder if folder == default["cache_dir"] else None}
 
 
 def _taken(arrays: dict[str, FloatArray], prefix: str) -> dict[str, FloatArray]:

@@ -6,7 +6,7 @@ and the misfit shows whether the model can explain the curve at all.
 
 A generator's uncertain numbers are fitted as well, with their distribution as prior: the sum of
 squares is that of the curve's residuals and of their coordinates z
-(`suspnet.curves.observation`), so the result has the largest posterior density.
+(`suspnet.curves.curves`), so the result has the largest posterior density.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ import torch
 from torch import Tensor
 
 from suspnet.bounds.information import cramer_rao
+from suspnet.curves.curves import Directions
 from suspnet.curves.estimates import Misfit
-from suspnet.curves.observation import Directions
 from suspnet.curves.protocols import BODY_MASS_COLUMN, Task, columns_of
 from suspnet.ground.tensors import threads
 from suspnet.ground.types import BoolArray, FloatArray, IntArray

@@ -99,7 +99,7 @@ def code_hash(*parts: str) -> str:
     digest = hashlib.sha256()
     for part in parts or (".",):
         path = package / part
-        files = [path] if path.is_file() else sorted(path.rglob("*.py"))
+        files = [path] if path.is_file() else sorted([*path.rglob("*.py"), *path.rglob("*.csv")])
         if not files:
             raise FileNotFoundError(2, "this package has no such code", str(path))
         for file in files:

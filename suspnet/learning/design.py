@@ -1,28 +1,23 @@
 """The design matrix Phi of a training set, and the normal equations of Eq. (9) on it.
 
-Phi is in memory as a whole only if it is small: products are computed in blocks of its rows, and
-summed over ranks where the samples are spread over several processes. `DenseDesign` serves every
-`FeatureMap`; ``equispaced`` has a faster design of its own in ``toeplitz``.
+Phi is in memory as a whole only if it is small: products are computed in blocks of its rows.
+`DenseDesign` serves every `FeatureMap`; ``equispaced`` has a faster design in ``toeplitz``.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from itertools import accumulate
 from typing import Protocol
 
 import torch
 from torch import Tensor, cholesky_solve
 
 from suspnet.learning.feature_maps import FeatureMap
-from suspnet.learning.ranks import AllReduce, identity
 
 CACHE_BYTES = 400_000_000
 """Largest size of a training set's features that stay in memory between passes [bytes]."""
-Penalty = Tensor | float
-"""C of all samples, or of each of them, (n_samples,)."""
 MOST_COUPLED = 4096
 """Largest number of features times outputs for which Newton's equations are factored."""
 Columns = Callable[[slice, Tensor], Tensor]
@@ -42,7 +37,7 @@ class Gradient:
     """The gradient of F at a point, and the samples' weights a_i of Eq. (10) there.
 
     `coef`: (n_features, n_outputs), `intercept`: (n_outputs,), 0 if b is not fitted, `weights`:
-    (n_samples,) of this rank's samples, `residual`: (n_samples, n_outputs) of them.
+    (n_samples,), `residual`: (n_samples, n_outputs).
     """
 
     coef: Tensor
@@ -62,12 +57,10 @@ class NormalEquations(Protocol):
 class Design(ABC):
     """The interface through which the solver uses Phi.
 
-    `all_reduce` sums a tensor over ranks, in place. Inner products and coefficients are those of
-    vectors that hold the features themselves.
+    Inner products and coefficients are those of vectors that hold the features themselves.
     """
 
     n_features: int
-    all_reduce: AllReduce
 
     def inner(self, first: Tensor, second: Tensor) -> Tensor:
         """Return the sum over outputs of the inner products of two vectors of features."""
@@ -79,21 +72,21 @@ class Design(ABC):
 
     @abstractmethod
     def rmatvec(self, columns: Tensor) -> Tensor:
-        """Return Phi^T columns, shape (n_features, n_columns), summed over ranks."""
+        """Return Phi^T columns, shape (n_features, n_columns)."""
 
     @abstractmethod
     def matvec_rmatvec(self, change: Coefficients, columns: Columns) -> tuple[Tensor, Tensor]:
         """Return Phi W + b, and Phi^T V with V = columns(rows, (Phi W + b)[rows]), in one pass."""
 
     @abstractmethod
-    def fixed(self, C: Penalty, fit_intercept: bool) -> NormalEquations:
-        """Return the equations of the samples' largest weights, 2 C, computed once."""
+    def fixed(self, C: float, fit_intercept: bool) -> NormalEquations:
+        """Return the equations of all weights 2 C, their largest by Eq. (10), computed once."""
 
     @abstractmethod
-    def reweighted(self, C: Penalty, fit_intercept: bool) -> NormalEquations:
+    def reweighted(self, C: float, fit_intercept: bool) -> NormalEquations:
         """Return the equations of Eq. (9), computed for the weights of every iteration."""
 
-    def newton(self, C: Penalty, fit_intercept: bool) -> NormalEquations:
+    def newton(self, C: float, fit_intercept: bool) -> NormalEquations:
         """Return the equations of Newton's method, or those of Eq. (9) where they cost less."""
         return self.reweighted(C, fit_intercept)
 
@@ -109,27 +102,6 @@ class Gram:
     sums: Tensor
     weight_sum: float
 
-    def __add__(self, other: Gram) -> Gram:
-        """Return the sums over the samples of both."""
-        return Gram(
-            self.products + other.products,
-            self.sums + other.sums,
-            self.weight_sum + other.weight_sum,
-        )
-
-    def __sub__(self, other: Gram) -> Gram:
-        """Return the sums over the samples that are not in `other`."""
-        return Gram(
-            self.products - other.products,
-            self.sums - other.sums,
-            self.weight_sum - other.weight_sum,
-        )
-
-
-def largest_weights(C: Penalty, like: Tensor) -> Tensor:
-    """Return 2 C of each sample, (n_samples,), which no weight of Eq. (10) exceeds."""
-    return torch.zeros_like(like) + 2 * C
-
 
 class DenseDesign(Design):
     """Phi in blocks of rows.
@@ -139,87 +111,55 @@ class DenseDesign(Design):
 
     Phi is stored between passes if it fits into `cache_bytes`, else `block_rows` of it are in
     memory at once. `gram_columns` columns of the Gram matrix are computed at a time, from the
-    diagonal on, as it is symmetric. `X`: (n_samples, n_inputs); `gram` is that matrix if known.
+    diagonal on, as it is symmetric. `X`: (n_samples, n_inputs).
     """
 
     def __init__(
         self,
         feature_map: FeatureMap,
         X: Tensor,
-        all_reduce: AllReduce = identity,
         *,
         block_rows: int = 4096,
         cache_bytes: int = CACHE_BYTES,
         gram_columns: int = 256,
-        gram: Gram | None = None,
     ) -> None:
-        self.feature_map, self.X, self.all_reduce = feature_map, X, all_reduce
+        self.X = X
         self._gram_columns = gram_columns
         self._basis, self._make = feature_map.basis, feature_map.raw
-        self.slices = [
+        self._slices = [
             slice(start, min(start + block_rows, len(X))) for start in range(0, len(X), block_rows)
         ]
         first = self._make(X.new_zeros(1, X.shape[1]))
         self._width = first.shape[1]
         self.n_features = self._width if self._basis is None else self._basis.shape[1]
         whole = len(X) * self._width * first.element_size()
-        self._blocks = [self._make(X[s]) for s in self.slices] if whole <= cache_bytes else []
-        self._gram = gram
-
-    @classmethod
-    def joined(cls, designs: Sequence[DenseDesign], gram: Gram) -> DenseDesign:
-        """Return the design of the samples of all designs from their known Gram matrix."""
-        X = torch.cat([design.X for design in designs])
-        whole = cls(designs[0].feature_map, X, cache_bytes=0, gram=gram)
-        starts = accumulate((len(design.X) for design in designs), initial=0)
-        whole.slices = [
-            slice(start + rows.start, start + rows.stop)
-            for design, start in zip(designs, starts, strict=False)
-            for rows in design.slices
-        ]
-        if all(design._blocks for design in designs):
-            whole._blocks = [phi for design in designs for phi in design._blocks]
-        return whole
+        self._blocks = [self._make(X[s]) for s in self._slices] if whole <= cache_bytes else []
 
     def __iter__(self) -> Iterator[tuple[slice, Tensor]]:
         """Yield (rows, Phi[rows]), or K in place of Phi."""
         if self._blocks:
-            yield from zip(self.slices, self._blocks, strict=True)
+            yield from zip(self._slices, self._blocks, strict=True)
         else:
-            for rows in self.slices:
+            for rows in self._slices:
                 yield rows, self._make(self.X[rows])
 
-    def predict(self, model: Coefficients) -> Tensor:
-        """Return Phi W + b, shape (n_samples, n_outputs)."""
-        none = self.X.new_zeros(1, 0)
-        return self.matvec_rmatvec(model, lambda rows, change: none.expand(len(change), 0))[0]
-
     def rmatvec(self, columns: Tensor) -> Tensor:
-        """Return Phi^T columns, shape (n_features, n_columns), summed over ranks."""
+        """Return Phi^T columns, shape (n_features, n_columns)."""
         product = self._zeros(self._width, columns.shape[1])
         for rows, phi in self:
-            product += (columns[rows].T.to(phi.dtype) @ phi).T
-        return self.all_reduce(self._projected(product))
+            product += (columns[rows].T @ phi).T
+        return self._projected(product)
 
     def matvec_rmatvec(self, change: Coefficients, columns: Columns) -> tuple[Tensor, Tensor]:
         """Return Phi W + b, and Phi^T V with V = columns(rows, (Phi W + b)[rows]), in one pass."""
         moved = self.X.new_empty(len(self.X), change.coef.shape[1], dtype=torch.float64)
-        product: Tensor | None = None
+        product = self._zeros(self._width, 0)
         coef = change.coef if self._basis is None else self._basis.to(change.coef) @ change.coef
         for rows, phi in self:
-            moved[rows] = (phi @ coef.to(phi.dtype)).double() + change.intercept
-            partial = (columns(rows, moved[rows]).T.to(phi.dtype) @ phi).T
-            product = partial.double() if product is None else product.add_(partial)
-        if product is None:
-            none = columns(slice(0, 0), moved)
-            product = self._zeros(self._width, none.shape[1])
-        return moved, self.all_reduce(self._projected(product))
-
-    def gram(self) -> Gram:
-        """Return the Gram matrix of all samples, computed once."""
-        if self._gram is None:
-            self._gram = self.weighted_gram(None)
-        return self._gram
+            moved[rows] = (phi @ coef) + change.intercept
+            partial = (columns(rows, moved[rows]).T @ phi).T
+            product = product.add_(partial) if product.shape[1] else partial
+        return moved, self._projected(product)
 
     def weighted_gram(self, weights: Tensor | None) -> Gram:
         """Return the Gram matrix of the weighted samples; those of weight 0 cost nothing."""
@@ -236,34 +176,24 @@ class DenseDesign(Design):
                 phi, w = phi[support], w[support]
             if self._basis is not None:
                 phi = phi @ self._basis
-            scaled = phi if w is None else phi * w[:, None].to(phi.dtype)
+            scaled = phi if w is None else phi * w[:, None]
             count += len(phi) if w is None else w.sum()
             sums += scaled.sum(dim=0)
             for start in starts:
                 stripe = slice(start, start + self._gram_columns)
                 products[stripe, start:] += scaled[:, stripe].T @ phi[:, start:]
-        self.all_reduce(products)
-        self.all_reduce(sums)
-        self.all_reduce(count)
         return Gram(products.triu() + products.triu(1).T, sums, float(count))
 
-    def fixed(self, C: Penalty, fit_intercept: bool) -> FixedGram:
+    def fixed(self, C: float, fit_intercept: bool) -> FixedGram:
         """Return the equations of all weights 2 C, computed once."""
-        if isinstance(C, Tensor):
-            return FixedGram(self.weighted_gram(C), 1.0, fit_intercept)
-        return FixedGram(self.gram(), C, fit_intercept)
+        return FixedGram(self.weighted_gram(None), C, fit_intercept)
 
-    def reweighted(self, C: Penalty, fit_intercept: bool) -> ReweightedGram:
+    def reweighted(self, C: float, fit_intercept: bool) -> ReweightedGram:
         """Return the equations of Eq. (9), factored for the weights of every iteration."""
         return ReweightedGram(self, fit_intercept)
 
-    def newton(self, C: Penalty, fit_intercept: bool) -> NormalEquations:
-        """Return the equations of Newton's method, or those of Eq. (9) for float32 features.
-
-        The bound on the gap is that of Eq. (9), whose directions it needs where products round.
-        """
-        if self.X.dtype == torch.float32:
-            return self.reweighted(C, fit_intercept)
+    def newton(self, C: float, fit_intercept: bool) -> NormalEquations:
+        """Return the equations of Newton's method."""
         return NewtonGram(self, C, fit_intercept)
 
     def _projected(self, product: Tensor) -> Tensor:
@@ -323,7 +253,7 @@ class NewtonGram:
     ``MOST_COUPLED`` unknowns the directions are those of Eq. (9).
     """
 
-    def __init__(self, design: DenseDesign, C: Penalty, fit_intercept: bool) -> None:
+    def __init__(self, design: DenseDesign, C: float, fit_intercept: bool) -> None:
         self._design, self._C, self._fit_intercept = design, C, fit_intercept
         self._reweighted = ReweightedGram(design, fit_intercept)
 
@@ -332,8 +262,7 @@ class NewtonGram:
         n_features, n_outputs = gradient.coef.shape
         if n_outputs == 1 or n_features * n_outputs > MOST_COUPLED:
             if n_outputs == 1:  # H = c along the only direction there is
-                largest = largest_weights(self._C, gradient.weights)
-                gradient = replace(gradient, weights=largest * (gradient.weights > 0))
+                gradient = replace(gradient, weights=2 * self._C * (gradient.weights > 0))
             return self._reweighted.direction(gradient, accuracy)
         # one block for each pair of outputs, with a last row and column for b
         n = n_features + 1
@@ -344,7 +273,7 @@ class NewtonGram:
             matrix[j, :, k, :] = torch.cat([block, last[:, None]], dim=1)
             matrix[k, :, j, :] = matrix[j, :, k, :]
         right = -torch.cat([gradient.coef, gradient.intercept[None]])
-        # without a sample outside the tube, on any rank, b is not determined
+        # without a sample outside the tube b is not determined
         n_free = n if self._fit_intercept and float(matrix[0, -1, 0, -1]) > 0 else n_features
         matrix, right = matrix[:, :n_free, :, :n_free], right[:n_free]
         for j in range(n_outputs):
@@ -361,7 +290,7 @@ class NewtonGram:
         """Yield the Gram matrix of each pair of outputs j <= k, weighted by H_jk."""
         unit = torch.nn.functional.normalize(gradient.residual, dim=1)
         across = gradient.weights
-        along = (largest_weights(self._C, across) - across) * (across > 0)
+        along = (2 * self._C - across) * (across > 0)
         for j in range(unit.shape[1]):
             for k in range(j, unit.shape[1]):
                 weights = along * unit[:, j] * unit[:, k] + (across if j == k else 0.0)
@@ -376,7 +305,7 @@ def _centred_factor(gram: Gram, scale: float, fit_intercept: bool) -> tuple[Tens
         sums, weight_sum = scale * gram.sums, scale * gram.weight_sum
         matrix.addr_(sums, sums, alpha=-1 / weight_sum)
     matrix.diagonal().add_(1.0)
-    advice = "lower C, or scale the outputs, or use dtype='float64'"
+    advice = "lower C, or scale the outputs"
     name = f"system of IRWLS with weights of total {scale * gram.weight_sum:.1e}"
     return sums, weight_sum, cholesky(matrix, name, advice)
 

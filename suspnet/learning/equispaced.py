@@ -20,13 +20,10 @@ from scipy.stats import chi
 from torch import Tensor
 
 from suspnet.learning.feature_maps import FeatureMap
-from suspnet.learning.ranks import AllReduce, identity
 
 MAX_INPUTS = 3
 MAX_BOX = 800_000
 """Largest number of points of the grid of modes, for which all arrays fit into about 1 GB."""
-MANY_WAVES = 5000
-"""Number of waves up to which a fit takes seconds at most."""
 FFT_ACCURACY = 1e-2
 """Accuracy of the non-uniform FFTs, relative to the kernel's."""
 
@@ -72,19 +69,6 @@ class EquispacedFeatures(FeatureMap):
     def n_inputs(self) -> int:
         """Number of columns the map takes."""
         return self.wave_numbers.shape[1]
-
-    def cost(self, n_samples: int, n_outputs: int) -> str | None:
-        """Return what a fit will cost if that is much: with more than a wave for ten samples."""
-        n_waves, sizes = len(self.strengths), 2 * self.wave_numbers.abs().amax(dim=0) + 1
-        if n_waves <= max(MANY_WAVES, n_samples / 10):
-            return None
-        grid = float((2 * sizes).prod())
-        each = 2 * n_outputs * 5 * grid * math.log2(grid) / 2
-        return (
-            f"feature_map='equispaced' takes {2 * n_waves - 1:,} modes for {n_samples:,} samples: "
-            f"about {3 * 16e-9 * grid * n_outputs:.1g} GB, and {each:.0e} operations for each of "
-            f"hundreds of iterations; 'rff' or 'nystroem' may need far less"
-        )
 
     @property
     def n_features(self) -> int:
@@ -176,10 +160,8 @@ class EquispacedTransform:
     `X`: (n_samples, n_inputs). Raises ValueError if finufft is not installed.
     """
 
-    def __init__(
-        self, modes: EquispacedFeatures, X: Tensor, all_reduce: AllReduce = identity
-    ) -> None:
-        self.modes, self.all_reduce = modes, all_reduce
+    def __init__(self, modes: EquispacedFeatures, X: Tensor) -> None:
+        self.modes = modes
         self.n_features, self.n_samples = modes.n_features, len(X)
         self._finufft = _finufft()
         self.waves = modes.wave_numbers.long()
@@ -205,7 +187,7 @@ class EquispacedTransform:
         return values
 
     def rmatvec(self, columns: Tensor) -> Tensor:
-        """Return Phi^T columns, shape (n_features, n_columns), summed over ranks."""
+        """Return Phi^T columns, shape (n_features, n_columns)."""
         sums = []
         for pair in columns.double().split(2, dim=1):
             strengths = torch.zeros(self.n_samples, 2, dtype=torch.float64)
@@ -216,12 +198,11 @@ class EquispacedTransform:
                 transformed[self._size - 1 - self._places].conj(),
             )
             sums += [0.5 * (direct + mirrored), -0.5j * (direct - mirrored)][: pair.shape[1]]
-        return self.all_reduce(self.real(torch.stack(sums)))
+        return self.real(torch.stack(sums))
 
     def toeplitz(self, weights: Tensor) -> Tensor:
         """Return t_k = sum_i w_i exp(-i k . angles_i) for k up to twice the counts, centred."""
-        sums = torch.view_as_real(self._transform(1, 2, weights.to(torch.complex128)))
-        return torch.view_as_complex(self.all_reduce(sums.contiguous()))
+        return self._transform(1, 2, weights.to(torch.complex128))
 
     def spectrum(self, vector: Tensor) -> Tensor:
         """Return sqrt(s_k) f_k of a vector over features, (n_features, n) to (n, n_waves).
@@ -244,8 +225,6 @@ class EquispacedTransform:
     def _transform(self, kind: int, width: int, values: Tensor) -> Tensor:
         """Return the transform from samples to modes (kind 1) or back (2), for `width` x modes."""
         shape = tuple(2 * width * count + 1 for count in self.counts)
-        if not self.n_samples:
-            return torch.zeros(shape if kind == 1 else 0, dtype=torch.complex128)
         if (kind, width) not in self._plans:
             accuracy = max(FFT_ACCURACY * float(self.modes.kernel_tol), 1e-14)
             plan = self._finufft.Plan(

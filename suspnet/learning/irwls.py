@@ -2,11 +2,12 @@
 
 Minimises the functional of Eq. (7), sums not means, b unpenalised::
 
-    F(W, b) = 1/2 |W|^2 + C sum_i s_i L(|y_i - W^T phi_i - b|)
+    F(W, b) = 1/2 |W|^2 + C sum_i L(|y_i - W^T phi_i - b|)
 
-with the hyperspherical epsilon-insensitive loss L of Eq. (8) and sample weights s_i, 1 in the
-paper. F is convex and continuously differentiable, so it has one value at the optimum. Each
-iteration takes a direction from normal equations and backtracks along it.
+with the hyperspherical epsilon-insensitive loss L(u) of Eq. (8), u the norm of a sample's residual
+over all outputs. F is convex and continuously
+differentiable, so it has one value at the optimum. Each iteration takes a direction from normal
+equations and backtracks along it.
 
 - "irwls" is the algorithm of the paper: from W = 0, b = 0 on, each direction is that of Eq. (11),
   from the equations (9) with the weights (10).
@@ -33,10 +34,7 @@ from suspnet.learning.design import (
     Design,
     Gradient,
     NormalEquations,
-    Penalty,
 )
-from suspnet.learning.loss import loss, weight
-from suspnet.learning.ranks import all_reduce, broadcast
 
 SUFFICIENT_DECREASE = 1e-4
 """Fraction of the decrease predicted by the gradient that a step must reach (Armijo's rule)."""
@@ -49,6 +47,22 @@ where many samples lie on the border of the tube."""
 
 KINDS = {"newton": ("fixed", "newton"), "irwls": ("reweighted",)}
 """Kinds of equations of each solver, in turn."""
+
+
+def loss(u: Tensor, epsilon: float) -> Tensor:
+    """Return L(u) = 0 below epsilon and (u - epsilon)^2 above, Eq. (8); same shape as `u`."""
+    return (u - epsilon).clamp(min=0).square()
+
+
+def weight(u: Tensor, epsilon: float) -> Tensor:
+    """Return a(u) = L'(u) / u, so a_i of Eq. (10) is C a(u_i); 0 inside the tube and at u = 0.
+
+    For epsilon = 0 the weight is 2 everywhere, also at u = 0 (its limit).
+    """
+    if epsilon == 0:
+        return torch.full_like(u, 2.0)
+    outside = u > epsilon
+    return torch.where(outside, 2 * (u - epsilon) / torch.where(outside, u, 1.0), 0.0)
 
 
 class Status(StrEnum):
@@ -113,17 +127,15 @@ class IRWLS:
         design: Design,
         Y: Tensor,
         on_iteration: Callable[[Iteration], None] | None = None,
-        sample_weight: Tensor | None = None,
         start: Coefficients | None = None,
     ) -> Solution:
         """Return the minimiser of F and a bound on its distance from the optimum.
 
-        `Y`: (n_samples, n_outputs), `sample_weight`: (n_samples,), None is 1. `start` is a point
-        near the optimum, None is 0. Raises ValueError if a system is singular to working precision.
+        `Y`: (n_samples, n_outputs); `start` is a point near the optimum, None is 0. Raises
+        ValueError if a system is singular to working precision.
         """
-        C = self.C if sample_weight is None else self.C * sample_weight
-        functional = Functional(design, C, self.epsilon, self.fit_intercept)
-        equations = _Equations(design, self, C, is_near=start is not None)
+        functional = Functional(design, self.C, self.epsilon, self.fit_intercept)
+        equations = _Equations(design, self, is_near=start is not None)
         coef = torch.zeros(design.n_features, Y.shape[1], dtype=torch.float64, device=Y.device)
         intercept = torch.zeros_like(coef[0])
         residual = Y.double().clone()
@@ -136,7 +148,7 @@ class IRWLS:
         # The loop ends: every pass increases n_iter, except that a step of 0 takes the next kind of
         # equations, and stops when each kind had one.
         while (gap := _gap(objective, lower)) > self.tol and n_iter < self.max_iter:
-            direction = functional.synchronised(equations.direction(gradient, self.tol * objective))
+            direction = equations.direction(gradient, self.tol * objective)
             # One pass over the samples computes everything needed for the step, the next gradient
             # (after a full step) and the bound.
             change, products = design.matvec_rmatvec(
@@ -165,9 +177,8 @@ class IRWLS:
             gradient = functional.gradient(coef, residual, product)
             objectives.append(objective)
             n_iter += 1
-            support = functional.support(gradient)  # a sum over ranks: all of them take part
             if on_iteration is not None:
-                norm = functional.norm(gradient)
+                norm, support = functional.norm(gradient), _support(gradient)
                 on_iteration(Iteration(n_iter, objective, norm, step, support))
         status = Status.STAGNATED if has_stagnated else Status.MAX_ITER
         return Solution(
@@ -176,7 +187,7 @@ class IRWLS:
             objective,
             functional.norm(gradient),
             gap,
-            functional.support(gradient),
+            _support(gradient),
             n_iter,
             Status.CONVERGED if gap <= self.tol else status,
             objectives,
@@ -186,12 +197,12 @@ class IRWLS:
 class _Equations:
     """The equations in use: the next kind after slow steps, without end if one kind is all."""
 
-    def __init__(self, design: Design, solver: IRWLS, C: Penalty, is_near: bool = False) -> None:
+    def __init__(self, design: Design, solver: IRWLS, is_near: bool = False) -> None:
         self._slow_decrease = solver.slow_decrease
         make = {"fixed": design.fixed, "newton": design.newton, "reweighted": design.reweighted}
         self._kinds = KINDS[solver.solver]
         self._make = [
-            functools.partial(make[name], C, solver.fit_intercept) for name in self._kinds
+            functools.partial(make[name], solver.C, solver.fit_intercept) for name in self._kinds
         ]
         self._made: dict[int, NormalEquations] = {}
         self._place = len(self._kinds) - 1 if is_near else 0
@@ -220,26 +231,17 @@ class _Equations:
 
 @dataclass(frozen=True)
 class Functional:
-    """F on a design, its gradient, and a bound below it; sums run over all ranks."""
+    """F on a design, its gradient, and a bound below it."""
 
     design: Design
-    C: Penalty
+    C: float
     epsilon: float
     fit_intercept: bool
 
     def value(self, coef: Tensor, residual: Tensor) -> float:
         """Return F."""
         losses = (self.C * loss(residual.norm(dim=1), self.epsilon)).sum()
-        summed = self.design.all_reduce(losses)
-        return float(self._broadcast(0.5 * self.design.inner(coef, coef) + summed))
-
-    def synchronised(self, direction: Coefficients) -> Coefficients:
-        """Return the direction of rank zero, so that rounding cannot make ranks diverge."""
-        return Coefficients(self._broadcast(direction.coef), self._broadcast(direction.intercept))
-
-    def _broadcast(self, values: Tensor) -> Tensor:
-        """Return the values of rank zero if the samples are spread over ranks."""
-        return broadcast(values) if self.design.all_reduce is all_reduce else values
+        return float(0.5 * self.design.inner(coef, coef) + losses)
 
     def weights(self, residual: Tensor) -> Tensor:
         """Return the weights of Eq. (10), (n_samples,)."""
@@ -253,7 +255,7 @@ class Functional:
             product = self.design.rmatvec(weighted)
         offset = torch.zeros_like(coef[0])
         if self.fit_intercept:
-            offset = -self.design.all_reduce(weighted.sum(dim=0))
+            offset = -weighted.sum(dim=0)
         return Gradient(coef - product, offset, weights, residual)
 
     def norm(self, gradient: Gradient) -> float:
@@ -290,9 +292,8 @@ class Functional:
         """
         n_outputs = change.shape[1]
         weighted = gradient.weights[:, None] * change
-        sums = torch.cat([(weighted * change).sum()[None], weighted.sum(dim=0)])
-        summed = self.design.all_reduce(torch.cat([sums, gradient.weights.sum()[None]]))
-        curvature, offset, weight_sum = summed[0], summed[1:-1], summed[-1]
+        curvature, offset = (weighted * change).sum(), weighted.sum(dim=0)
+        weight_sum = gradient.weights.sum()
         r = -(gradient.coef + direction.coef + products[:, n_outputs : 2 * n_outputs])
         inner = self.design.inner
         value = 0.5 * (inner(direction.coef, direction.coef) + curvature)
@@ -301,7 +302,7 @@ class Functional:
             shift = -(gradient.intercept + offset) / weight_sum
             r -= torch.outer(products[:, -1], shift)
             value -= 0.5 * weight_sum * shift.square().sum()
-        return float(self._broadcast(objective + value - 0.5 * inner(r, r)))
+        return float(objective + value - 0.5 * inner(r, r))
 
     def backtrack(
         self,
@@ -324,15 +325,12 @@ class Functional:
     def decrement(self, gradient: Gradient, direction: Coefficients) -> float:
         """Return -g . d, the rate at which F decreases along a direction."""
         inner = self.design.inner(gradient.coef, direction.coef)
-        return float(self._broadcast(-inner - (gradient.intercept * direction.intercept).sum()))
+        return float(-inner - (gradient.intercept * direction.intercept).sum())
 
-    def support(self, gradient: Gradient) -> float:
-        """Return the fraction of the samples outside the tube."""
-        outside = (gradient.weights > 0).double()
-        counts = self.design.all_reduce(
-            torch.stack([outside.sum(), torch.ones_like(outside).sum()])
-        )
-        return float(counts[0] / counts[1])
+
+def _support(gradient: Gradient) -> float:
+    """Return the fraction of the samples outside the tube."""
+    return float((gradient.weights > 0).double().mean())
 
 
 def _gap(objective: float, lower: float) -> float:

@@ -19,13 +19,10 @@ from suspnet.learning.design import (
     Columns,
     Design,
     Gradient,
-    Penalty,
     cholesky,
-    largest_weights,
 )
 from suspnet.learning.feature_maps import KernelColumns, generator, partial_cholesky
 from suspnet.learning.irwls import IRWLS
-from suspnet.learning.ranks import AllReduce, identity
 
 ADVICE = "lower C, or scale the outputs"
 """What to do where a system is singular to working precision."""
@@ -54,8 +51,8 @@ class KernelDesign(Design):
     `X`: (n_samples, n_inputs), the samples of the map.
     """
 
-    def __init__(self, kernel: KernelColumns, X: Tensor, all_reduce: AllReduce = identity) -> None:
-        self.kernel, self.X, self.all_reduce = kernel, X, all_reduce
+    def __init__(self, kernel: KernelColumns, X: Tensor) -> None:
+        self.kernel, self.X = kernel, X
         self.n_samples = len(X)
         self.n_features = 2 * len(X)
         self._rows = X.new_empty(len(X), len(X))
@@ -99,7 +96,7 @@ class KernelDesign(Design):
         moved = change.coef[self.n_samples :] + change.intercept
         return moved, self.rmatvec(columns(slice(0, self.n_samples), moved))
 
-    def start(self, solver: IRWLS, Y: Tensor, sample_weight: Tensor | None) -> Coefficients | None:
+    def start(self, solver: IRWLS, Y: Tensor) -> Coefficients | None:
         """Return about the minimum, from some of the samples; None if the tube holds almost none.
 
         From there on the solver meets samples that lie outside the tube of almost the best model,
@@ -112,23 +109,22 @@ class KernelDesign(Design):
         few = torch.randperm(self.n_samples, generator=generator(0))[:n_few].to(Y.device)
         design = KernelDesign(replace(self.kernel, landmarks=self.X[few]), self.X[few])
         coarse = replace(solver, C=solver.C * START_SHARE, tol=START_TOL)
-        weights = None if sample_weight is None else sample_weight[few]
-        solution = coarse.minimise(design, Y[few], None, weights)
+        solution = coarse.minimise(design, Y[few])
         if solution.support_fraction > MOST_OUTSIDE:
             return None
         dual = torch.zeros_like(Y, dtype=torch.float64)
         dual[few] = solution.coef
         return Coefficients(self.rmatvec(dual), solution.intercept)
 
-    def fixed(self, C: Penalty, fit_intercept: bool) -> FixedKernel:
+    def fixed(self, C: float, fit_intercept: bool) -> FixedKernel:
         """Return the equations of all weights 2 C, computed once."""
         return FixedKernel(self, C, fit_intercept)
 
-    def reweighted(self, C: Penalty, fit_intercept: bool) -> ReweightedKernel:
+    def reweighted(self, C: float, fit_intercept: bool) -> ReweightedKernel:
         """Return the equations of Eq. (9), factored for the weights of every iteration."""
         return ReweightedKernel(self, fit_intercept)
 
-    def newton(self, C: Penalty, fit_intercept: bool) -> NewtonKernel:
+    def newton(self, C: float, fit_intercept: bool) -> NewtonKernel:
         """Return the equations of Newton's method."""
         return NewtonKernel(self, C, fit_intercept)
 
@@ -144,20 +140,18 @@ class KernelDesign(Design):
 class FixedKernel:
     """Directions of all weights 2 C, H = 2 C: one factorisation serves every iteration."""
 
-    def __init__(self, design: KernelDesign, C: Penalty, fit_intercept: bool) -> None:
+    def __init__(self, design: KernelDesign, C: float, fit_intercept: bool) -> None:
         self._design, self._fit_intercept = design, fit_intercept
-        self._weights = largest_weights(C, design.X[:, 0])[:, None]
-        self._used = (self._weights[:, 0] > 0).nonzero()[:, 0]
-        self._factor = _factor(design.block(self._used), self._weights[self._used, 0])
+        self._weight, every = 2 * C, torch.arange(design.n_samples, device=design.X.device)
+        weights = torch.full_like(design.X[:, 0], self._weight)
+        self._factor = _factor(design.block(every), weights)
 
     def direction(self, gradient: Gradient, accuracy: float) -> Coefficients:
         """Return -H^-1 g, exactly."""
-        right = gradient.coef[self._design.n_samples :][self._used]
+        right = gradient.coef[self._design.n_samples :]
         eta, shift = _solve(self._factor, right, gradient.intercept, self._fit_intercept)
-        if len(self._used) < self._design.n_samples:
-            return self._design.direction(gradient, self._used, eta, shift)
         # K eta - K g follows from the equations, without a product with K
-        moved = -eta / self._weights - shift
+        moved = -eta / self._weight - shift
         gamma = gradient.coef[: self._design.n_samples]
         return Coefficients(torch.cat([eta - gamma, moved]), shift)
 
@@ -186,27 +180,27 @@ class NewtonKernel:
     the same for all outputs; it is the system itself where that is small.
     """
 
-    def __init__(self, design: KernelDesign, C: Penalty, fit_intercept: bool) -> None:
-        self._design, self._weights = design, largest_weights(C, design.X[:, 0])
+    def __init__(self, design: KernelDesign, C: float, fit_intercept: bool) -> None:
+        self._design, self._weight = design, 2 * C
         self._fit_intercept = fit_intercept
 
     @functools.cached_property
     def _low_rank(self) -> Tensor | None:
         """F, (n_rows, n_samples), None if it would have many rows."""
         design, most = self._design, int(LARGEST_RANK * self._design.n_samples)
-        error = LOW_RANK_ERROR / float(self._weights.max())
+        error = LOW_RANK_ERROR / self._weight
         _, factor = partial_cholesky(design.X, float(design.kernel.sigma), most, 0, error)
         return factor if len(factor) < most else None
 
     def direction(self, gradient: Gradient, accuracy: float) -> Coefficients:
         """Return the Newton direction, to rounding of about `FORCING`."""
         design, support = self._design, gradient.weights.nonzero()[:, 0]
-        largest, actual = self._weights[support], gradient.weights[support]
+        actual = gradient.weights[support]
         unit = torch.nn.functional.normalize(gradient.residual[support], dim=1)
         radial = unit[:, :, None] * unit[:, None, :]
         across = torch.eye(unit.shape[1]).to(radial) - radial
         # the inverse Hessian of the loss: one value along the residual, another across it
-        inverse = radial / largest[:, None, None] + across / actual[:, None, None]
+        inverse = radial / self._weight + across / actual[:, None, None]
         kernel = design.block(support)
         if inverse.numel() <= FEW_UNKNOWNS * unit.shape[1]:
             approximate = _whole(kernel, inverse)
@@ -217,7 +211,7 @@ class NewtonKernel:
                 return cholesky_solve(right, factor)
 
         else:
-            second = radial * largest[:, None, None] + across * actual[:, None, None]
+            second = radial * self._weight + across * actual[:, None, None]
             approximate = _woodbury(self._low_rank[:, support], second)
         eta, shift = _conjugate_gradients(
             lambda eta: kernel @ eta + (inverse @ eta[:, :, None])[:, :, 0],

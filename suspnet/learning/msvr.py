@@ -2,37 +2,68 @@
 
 from __future__ import annotations
 
-import functools
-import operator
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
-from sklearn.base import clone
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_random_state
-from sklearn.utils.validation import _check_sample_weight, validate_data
+from sklearn.utils.validation import validate_data
 from torch import Tensor
 
 from suspnet.ground.settings import Setting, check_number, check_settings
 from suspnet.ground.tensors import as_tensor, check_device
-from suspnet.ground.types import FloatArray, IntArray
-from suspnet.learning import ranks
-from suspnet.learning.design import CACHE_BYTES, Coefficients, DenseDesign, Design
-from suspnet.learning.equispaced import EquispacedFeatures
-from suspnet.learning.feature_maps import FeatureMap
-from suspnet.learning.irwls import IRWLS, Iteration, Solution, Status
-from suspnet.learning.kernel_design import NARROW, KernelDesign
-from suspnet.learning.map_kinds import MAPS, MOST_EXACT, automatic, name_of
+from suspnet.ground.types import FloatArray
+from suspnet.learning.design import DenseDesign, Design
+from suspnet.learning.equispaced import EquispacedFeatures, equispaced_fourier
+from suspnet.learning.feature_maps import (
+    FeatureMap,
+    FourierFeatures,
+    KernelColumns,
+    LandmarkFeatures,
+    exact,
+    nystroem,
+    orthogonal_fourier,
+    random_fourier,
+)
+from suspnet.learning.irwls import IRWLS, Iteration, Status
+from suspnet.learning.kernel_design import KernelDesign
 from suspnet.learning.regressor import Regressor, arrays_of
+from suspnet.learning.toeplitz import EquispacedDesign
 
 PREDICT_ROWS = 8192
 """Rows predicted at once, so that their features fit into memory."""
-SAME_GRAM_PARAMETERS = ("C", "epsilon")
-"""Hyperparameters that the Gram matrix does not depend on."""
+MOST_EXACT = 5000
+"""Number of samples above which `exact` warns: its kernel takes 0.2 GB, a factor of it as much."""
+
+
+@dataclass(frozen=True)
+class MapKind:
+    """A kind of feature map: its constructor, its class and its design matrix.
+
+    ``make(X, sigma, n_components, seed, kernel_tol)`` returns the map for samples X, `holds` is the
+    class that `restore` rebuilds from its tensors. `on_gpu`: it runs on other devices than
+    the CPU.
+    """
+
+    make: Callable[[Tensor, float, int, int, float], FeatureMap]
+    holds: Callable[..., FeatureMap]
+    design: Callable[[Any, Tensor], Design] = DenseDesign
+    on_gpu: bool = True
+
+
+MAPS = {
+    "rff": MapKind(random_fourier, FourierFeatures),
+    "orf": MapKind(orthogonal_fourier, FourierFeatures),
+    "nystroem": MapKind(nystroem, LandmarkFeatures),
+    "equispaced": MapKind(equispaced_fourier, EquispacedFeatures, EquispacedDesign, on_gpu=False),
+    "exact": MapKind(exact, KernelColumns, KernelDesign),
+}
+"""Every feature map by name; a new one is added here."""
 
 
 class MSVR(Regressor):
@@ -52,22 +83,14 @@ class MSVR(Regressor):
     loss. A tube (epsilon, in units of the outputs) that contains many samples needs tens to
     hundreds of iterations, a narrow one a few.
 
-    feature_map "auto" takes `exact` up to twice `n_components` samples, 5,000 in a wide tube, else
-    `equispaced` where it pays and finufft is installed, else `rff`. The time of an iteration grows
-    with the cube of the number of features; the memory of `exact` with the square of the number of
-    samples. dtype "float32" is that of the features of `rff` and `orf` and of products with them;
-    sums over blocks and solves are float64, but `gap_` does not include the rounding of products:
-    at C = 1e4 the objective may lie 1e-5 above its minimum.
+    The time of an iteration grows with the cube of the number of features; the memory of `exact`
+    with the square of the number of samples.
 
     The fit stops when the objective is proven to lie within the fraction `tol` of its minimum.
-    With `distributed`, the samples given to `fit` are this rank's shard of those of all ranks of
-    ``torch.distributed``, which may be empty; every rank gets the same model. `callback` gets an
-    ``Iteration`` after each iteration.
+    `callback` gets an ``Iteration`` after each iteration.
 
     Attributes
     ----------
-    feature_map_ : str
-        The feature map in use, never "auto".
     coef_ : array of shape (n_features, n_outputs)
         W; for the exact kernel the dual coefficients, (n_samples, n_outputs).
     intercept_ : array of shape (n_outputs,)
@@ -108,8 +131,8 @@ class MSVR(Regressor):
         ),
         "feature_map": Setting(
             "Approximation of the kernel: random Fourier features, orthogonal ones, Nystroem "
-            "landmarks, modes on a grid (three inputs at most), the kernel itself (memory as "
-            "data.n_train squared), or the quickest for the data"
+            "landmarks, modes on a grid (three inputs at most), or the kernel itself (memory as "
+            "data.n_train squared)"
         ),
         "n_components": Setting(
             "Number of features of rff and orf (rounded up to an even number), and largest number "
@@ -133,40 +156,30 @@ class MSVR(Regressor):
         "random_state": Setting(
             "Seed of the random features or landmarks", rule="whole number; 0 to 4294967295"
         ),
-        "dtype": Setting("Precision of the features of rff and orf; the other maps need float64"),
         "solver": Setting(
             "Algorithm: that of the paper as printed, or a faster one with the same minimum"
         ),
         "device": Setting("Device of the fit; equispaced runs on the CPU only", rule="cpu or cuda"),
-        "distributed": Setting(
-            "Whether processes of torchrun share one fit, which train.py sets itself"
-        ),
         "callback": Setting(
             "Function called after each iteration, which train.py sets itself", rule="null"
         ),
     }
     """What each argument means and which values it takes."""
 
-    distributable: ClassVar[bool] = True
-
-    feature_map_: str
-
     def __init__(
         self,
         C: float = 100.0,
         sigma: float | Literal["scale"] = 3.0,
         epsilon: float = 1e-3,
-        feature_map: Literal["rff", "orf", "nystroem", "equispaced", "exact", "auto"] = "rff",
+        feature_map: Literal["rff", "orf", "nystroem", "equispaced", "exact"] = "rff",
         n_components: int = 1024,
         kernel_tol: float = 1e-6,
         fit_intercept: bool = True,
         max_iter: int = 1000,
         tol: float = 1e-8,
         random_state: Any = 0,
-        dtype: Literal["float64", "float32"] = "float64",
         solver: Literal["newton", "irwls"] = "newton",
         device: str = "cpu",
-        distributed: bool = False,
         callback: Callable[[Iteration], None] | None = None,
     ) -> None:
         self.C = C
@@ -179,31 +192,39 @@ class MSVR(Regressor):
         self.max_iter = max_iter
         self.tol = tol
         self.random_state = random_state
-        self.dtype = dtype
         self.solver = solver
         self.device = device
-        self.distributed = distributed
         self.callback = callback
 
-    def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> Self:
-        """Fit to samples (n_samples, n_inputs) and outputs (n_samples,) or (.., n_outputs).
-
-        `sample_weight` (n_samples,), at least 0, multiplies C for each sample: a weight of 2 is a
-        sample given twice. None is 1.
-        """
+    def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
+        """Fit to samples (n_samples, n_inputs) and outputs (n_samples,) or (.., n_outputs)."""
         self.check_parameters()
         check_device(self.device)
-        samples, targets = self._validated(X, y)
-        self._map = self._chosen_map(samples, targets)
-        self._warn_of_cost(len(samples), targets.shape[1])
+        X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)
+        samples = as_tensor(X).to(self.device)
+        targets = as_tensor(y).to(self.device)
+        self._single_output = targets.ndim == 1
+        targets = targets[:, None] if self._single_output else targets
+        if self.feature_map == "exact" and len(samples) > MOST_EXACT:
+            warnings.warn(
+                f"feature_map='exact' takes {2 * 8e-9 * len(samples) ** 2:.1f} GB and more for "
+                f"{len(samples)} samples; 'rff' or 'nystroem' needs far less",
+                UserWarning,
+                stacklevel=2,
+            )
+        kind, seed = MAPS[self.feature_map], check_random_state(self.random_state)
+        make = samples, self._width(samples), self.n_components, int(seed.randint(2**31 - 1))
+        self._map = kind.make(*make, self.kernel_tol)
         # constant outputs are the intercept, without the rounding that a fit would leave
         constant = torch.zeros_like(targets[:1])
-        if self.fit_intercept and not self.distributed and bool((targets == targets[:1]).all()):
+        if self.fit_intercept and bool((targets == targets[:1]).all()):
             constant = targets[:1]
-        all_reduce = ranks.all_reduce if self.distributed else ranks.identity
-        design = MAPS[self.feature_map_].design(self._map, samples, all_reduce)
-        weights = self._sample_weight(sample_weight, samples)
-        solution = self._solve(design, targets - constant, weights)
+        design, targets = kind.design(self._map, samples), targets - constant
+        parts = self.C, self.epsilon, self.fit_intercept, self.max_iter, self.tol
+        solver, start = IRWLS(*parts, solver=self.solver), None
+        if isinstance(design, KernelDesign):
+            start = design.start(solver, targets)
+        solution = solver.minimise(design, targets, self.callback, start)
         self.coef_ = np.ascontiguousarray(solution.coef.cpu().numpy())
         self.intercept_ = (solution.intercept + constant.sum(dim=0)).cpu().numpy()
         self.n_iter_ = solution.n_iter
@@ -220,55 +241,10 @@ class MSVR(Regressor):
             )
         return self
 
-    def cross_predictor(
-        self, X: ArrayLike, y: ArrayLike, folds: Sequence[IntArray]
-    ) -> Callable[[Mapping[str, float]], list[FloatArray]]:
-        """Return a function that predicts each fold by a model fitted to all other folds.
-
-        It takes a mapping with values of C and epsilon that replace the model's own, and returns a
-        list of predictions (n_fold, n_outputs). The models are those of `fit`, but all values of C
-        and epsilon share one Gram matrix, from which a fold's own is subtracted. It requires a map
-        that does not depend on the samples (``shares_gram``). `folds` are row indices; each row is
-        in one fold.
-        """
-        self.check_parameters()
-        samples, targets = self._validated(X, y)
-        self.feature_map_ = self.feature_map
-        feature_map = self._make_map(samples)
-        designs = [
-            DenseDesign(feature_map, samples[fold], cache_bytes=CACHE_BYTES // len(folds))
-            for fold in folds
-        ]
-        whole = functools.reduce(operator.add, (design.gram() for design in designs))
-        # the design and the targets of all folds but one, for each fold
-        others = [
-            (
-                DenseDesign.joined(designs[:j] + designs[j + 1 :], whole - designs[j].gram()),
-                torch.cat([targets[fold] for k, fold in enumerate(folds) if k != j]),
-            )
-            for j in range(len(folds))
-        ]
-
-        def predict(setting: Mapping[str, float]) -> list[FloatArray]:
-            model = clone(self).set_params(**setting)
-            model.check_parameters()
-            solutions = (model._solve(design, rows) for design, rows in others)
-            return [
-                design.predict(Coefficients(solution.coef, solution.intercept)).cpu().numpy()
-                for design, solution in zip(designs, solutions, strict=True)
-            ]
-
-        return predict
-
-    @property
-    def shares_gram(self) -> bool:
-        """Whether `cross_predictor` supports this feature map."""
-        return self.feature_map in MAPS and not MAPS[self.feature_map].of_data
-
     def predict(self, X: ArrayLike) -> FloatArray:
         """Return predictions, shape (n_samples,) or (n_samples, n_outputs) as `y` was."""
-        samples = as_tensor(self._inputs(X)).to(self.device, self._torch_dtype)
-        coef = torch.tensor(self.coef_, dtype=self._torch_dtype, device=self.device)
+        samples = as_tensor(self._inputs(X)).to(self.device)
+        coef = torch.tensor(self.coef_, device=self.device)
         predicted = np.empty((len(samples), coef.shape[1]))
         for start in range(0, len(samples), PREDICT_ROWS):
             rows = slice(start, start + PREDICT_ROWS)
@@ -285,12 +261,8 @@ class MSVR(Regressor):
         """Load the arrays of `state`; ValueError if they are missing or inconsistent."""
         self.check_parameters()
         names = [name.removeprefix("map.") for name in state if name.startswith("map.")]
-        self.feature_map_ = name_of(names) if self.feature_map == "auto" else self.feature_map
-        map_type = MAPS[self.feature_map_].holds
-        tensors = {
-            name: torch.tensor(state[f"map.{name}"], dtype=self._torch_dtype, device=self.device)
-            for name in names
-        }
+        map_type = MAPS[self.feature_map].holds
+        tensors = {name: torch.tensor(state[f"map.{name}"], device=self.device) for name in names}
         with arrays_of("an MSVR"):
             self.coef_, self.intercept_ = state["coef"], self._restored(state["intercept"])
             if self.feature_map == "exact" and "whitening" in tensors:
@@ -298,101 +270,18 @@ class MSVR(Regressor):
                 self.coef_ = tensors.pop("whitening").double().numpy() @ self.coef_
             self._map = map_type(**tensors)
         self.n_features_in_ = self._map.n_inputs
-        none = torch.zeros(1, self.n_features_in_, dtype=self._torch_dtype, device=self.device)
+        none = torch.zeros(1, self.n_features_in_, dtype=torch.float64, device=self.device)
         n_features = self._map(none).shape[1]
         if self.coef_.shape != (n_features, len(self.intercept_)):
             raise ValueError(f"coef has shape {self.coef_.shape}, the map {n_features} features")
         return self
 
-    @property
-    def _torch_dtype(self) -> torch.dtype:
-        return torch.float32 if self.dtype == "float32" else torch.float64
-
-    def _validated(self, X: ArrayLike, y: ArrayLike) -> tuple[Tensor, Tensor]:
-        """Return samples and targets (n_samples, n_outputs); a rank may have none."""
-        if self.distributed and ranks.is_distributed() and len(np.asarray(X)) == 0:
-            X = validate_data(self, X, dtype=np.float64, ensure_min_samples=0)
-        else:
-            X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)
-        samples = as_tensor(X).to(self.device, self._torch_dtype)
-        targets = as_tensor(y).to(self.device)
-        self._single_output = targets.ndim == 1
-        return samples, targets[:, None] if targets.ndim == 1 else targets
-
-    def _chosen_map(self, samples: Tensor, targets: Tensor) -> FeatureMap:
-        """Set ``feature_map_`` and return the map for these samples."""
-        is_shared = self.distributed and ranks.is_distributed()
-        self.feature_map_ = self.feature_map
-        if self.feature_map == "exact" and is_shared:
-            raise ValueError(
-                "feature_map='exact' needs all samples in one process: use 'nystroem' or 'rff'"
-            )
-        if self.feature_map == "auto":
-            is_plain = samples.device.type == "cpu" and self.dtype == "float64" and not is_shared
-            spread = float(targets.std(dim=0, correction=0).max()) if len(targets) else 0.0
-            self.feature_map_, feature_map = automatic(
-                samples,
-                self._width(samples),
-                self.n_components,
-                self.kernel_tol,
-                is_plain=is_plain,
-                is_narrow=self.epsilon <= NARROW * spread,
-            )
-            if feature_map is not None:
-                return feature_map
-        everywhere = self.distributed and MAPS[self.feature_map_].of_data
-        return self._make_map(ranks.all_gather(samples) if everywhere else samples)
-
-    def _warn_of_cost(self, n_samples: int, n_outputs: int) -> None:
-        """Warn of a fit that takes much memory or time."""
-        message = None
-        if self.feature_map == "exact" and n_samples > MOST_EXACT:
-            message = (
-                f"feature_map='exact' takes {2 * 8e-9 * n_samples**2:.1f} GB and more for "
-                f"{n_samples} samples; 'rff' or 'nystroem' needs far less"
-            )
-        if isinstance(self._map, EquispacedFeatures):
-            message = self._map.cost(n_samples, n_outputs)
-        if message is not None:
-            warnings.warn(message, UserWarning, stacklevel=3)
-
-    def _make_map(self, samples: Tensor) -> FeatureMap:
-        seed = int(check_random_state(self.random_state).randint(2**31 - 1))
-        make = MAPS[self.feature_map_].make
-        return make(samples, self._width(samples), self.n_components, seed, self.kernel_tol)
-
     def _width(self, samples: Tensor) -> float:
         """Return sigma as a number."""
         if self.sigma != "scale":
             return float(self.sigma)
-        if self.distributed and ranks.is_distributed():
-            raise ValueError("sigma='scale' needs all samples in one process: give a number")
         variance = float(samples.var(correction=0))
         return float(np.sqrt(samples.shape[1] * variance)) or 1.0  # as scikit-learn's
-
-    def _sample_weight(self, sample_weight: ArrayLike | None, samples: Tensor) -> Tensor | None:
-        if sample_weight is None:
-            return None
-        weights = _check_sample_weight(
-            sample_weight, samples.cpu().numpy(), dtype=np.float64, ensure_non_negative=True
-        )
-        return torch.tensor(weights, dtype=torch.float64, device=self.device)
-
-    def _solve(
-        self, design: Design, targets: Tensor, sample_weight: Tensor | None = None
-    ) -> Solution:
-        solver = IRWLS(
-            self.C,
-            self.epsilon,
-            self.fit_intercept,
-            self.max_iter,
-            self.tol,
-            solver=self.solver,
-        )
-        start = None
-        if isinstance(design, KernelDesign):
-            start = design.start(solver, targets, sample_weight)
-        return solver.minimise(design, targets, self.callback, sample_weight, start)
 
     def check_parameters(self) -> None:
         """Raise TypeError or ValueError unless every parameter is valid and they fit together."""
@@ -401,15 +290,7 @@ class MSVR(Regressor):
             check_number("sigma", self.sigma, above=0)
         if not isinstance(self.fit_intercept, bool | np.bool_):
             raise TypeError(f"`fit_intercept` must be True or False, got {self.fit_intercept!r}")
-        if self.feature_map == "auto":  # takes one that suits the precision and the device
-            return
-        kind = MAPS[self.feature_map]
-        if self.dtype == "float32" and not kind.float32:
-            raise ValueError(
-                f"feature_map={self.feature_map!r} needs dtype='float64': its Gram matrix is too "
-                "ill conditioned for single precision"
-            )
-        if not kind.on_gpu and torch.device(self.device).type != "cpu":
+        if not MAPS[self.feature_map].on_gpu and torch.device(self.device).type != "cpu":
             raise ValueError(
                 f"feature_map={self.feature_map!r} runs on the CPU: set device='cpu', or use "
                 "feature_map='rff'"

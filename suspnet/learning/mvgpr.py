@@ -173,31 +173,27 @@ class MVGPR(Regressor):
         return self
 
     def predict(
-        self, X: ArrayLike, return_std: bool = False, return_cov: bool = False
+        self, X: ArrayLike, return_std: bool = False
     ) -> FloatArray | tuple[FloatArray, FloatArray]:
-        """Return the predictive mean and, if requested, the spread of a new noisy output.
+        """Return the predictive mean and, with `return_std`, the deviation of a new noisy output.
 
-        `return_std` adds the standard deviations, shaped as the mean (n_samples,) or (n_samples,
-        n_outputs), `return_cov` the covariance between outputs, (n_samples, n_outputs, n_outputs).
+        Both have the shape (n_samples,) or (n_samples, n_outputs).
         """
         samples = as_tensor(self._inputs(X)).to(self.device)
         weights = torch.tensor(self.weights_, device=self.device)
-        spread = return_std or return_cov
         means, variances = [], []
         for rows in samples.split(PREDICT_ROWS):
             cross = self._kernel(rows, self._samples)
             means.append((cross @ weights).cpu().numpy())
-            if spread:
+            if return_std:
                 half = torch.linalg.solve_triangular(self._factor(), cross.T, upper=False)
                 explained = half.square().sum(dim=0).cpu().numpy()
                 variances.append(self.signal_variance_ + self.noise_variance_ - explained)
         mean: FloatArray = np.concatenate(means) + self.mean_
         mean = self._as_trained(mean)
-        if not spread:
+        if not return_std:
             return mean
         variance = np.maximum(np.concatenate(variances), 0.0)
-        if return_cov:
-            return mean, variance[:, None, None] * self.omega_
         std = np.sqrt(variance[:, None] * self.omega_.diagonal())
         return mean, self._as_trained(std)
 

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from suspnet.ground.types import FloatArray
-from suspnet.learning.ranks import AllReduce, identity
 
 
 @dataclass(frozen=True)
@@ -23,10 +21,9 @@ class Scaling:
     log: bool = True
 
     @classmethod
-    def of(cls, values: FloatArray, log: bool = True, all_reduce: AllReduce = identity) -> Scaling:
+    def of(cls, values: FloatArray, log: bool = True) -> Scaling:
         """Return the scaling that gives `values` (n_rows, n_columns) mean 0 and deviation 1.
 
-        `all_reduce` sums over ranks if the rows are spread over them; a rank may have none.
         ValueError if a value is not finite, or not positive and `log` is True, or if a column is
         constant.
         """
@@ -35,10 +32,7 @@ class Scaling:
         if log and not (values > 0).all():
             raise ValueError("values must be positive for a logarithmic scaling")
         moved = np.log(values) if log else values
-        n_rows = float(all_reduce(torch.tensor([len(moved)], dtype=torch.float64)))
-        mean = all_reduce(torch.from_numpy(moved.sum(axis=0))).numpy() / n_rows
-        centred = moved - mean
-        scale = np.sqrt(all_reduce(torch.from_numpy((centred**2).sum(axis=0))).numpy() / n_rows)
+        mean, scale = moved.mean(axis=0), moved.std(axis=0)
         constant = np.flatnonzero(scale <= np.finfo(float).eps * np.abs(mean))
         if constant.size:
             raise ValueError(f"columns {constant.tolist()} are constant; nothing can be learnt")

@@ -14,13 +14,10 @@ from suspnet.learning.design import (
     Columns,
     Design,
     Gradient,
-    Penalty,
     cholesky,
-    largest_weights,
     without_intercept,
 )
 from suspnet.learning.equispaced import EquispacedFeatures, EquispacedTransform, flat_index
-from suspnet.learning.ranks import AllReduce, identity
 
 TINY = torch.finfo(torch.float64).tiny
 """Smallest divisor, for columns that are solved exactly."""
@@ -53,10 +50,9 @@ class EquispacedDesign(EquispacedTransform, Design):
         self,
         modes: EquispacedFeatures,
         X: Tensor,
-        all_reduce: AllReduce = identity,
         solver: ConjugateGradients | None = None,
     ) -> None:
-        super().__init__(modes, X, all_reduce)
+        super().__init__(modes, X)
         self._solver = solver or ConjugateGradients()
 
     def matvec_rmatvec(self, change: Coefficients, columns: Columns) -> tuple[Tensor, Tensor]:
@@ -64,11 +60,11 @@ class EquispacedDesign(EquispacedTransform, Design):
         moved = self.matvec(change.coef) + change.intercept
         return moved, self.rmatvec(columns(slice(0, self.n_samples), moved))
 
-    def fixed(self, C: Penalty, fit_intercept: bool) -> ToeplitzEquations:
+    def fixed(self, C: float, fit_intercept: bool) -> ToeplitzEquations:
         """Return the equations of all weights 2 C."""
         return ToeplitzEquations(self, C, fit_intercept, False, self._solver)
 
-    def reweighted(self, C: Penalty, fit_intercept: bool) -> ToeplitzEquations:
+    def reweighted(self, C: float, fit_intercept: bool) -> ToeplitzEquations:
         """Return the equations of Eq. (9), computed for the weights of every iteration."""
         return ToeplitzEquations(self, C, fit_intercept, True, self._solver)
 
@@ -82,7 +78,7 @@ class ToeplitzEquations:
     def __init__(
         self,
         design: EquispacedTransform,
-        C: Penalty,
+        C: float,
         fit_intercept: bool,
         reweighted: bool,
         solver: ConjugateGradients,
@@ -102,8 +98,7 @@ class ToeplitzEquations:
         wide = [4 * count + 1 for count in design.counts]
         self._steps, self._middle = flat_index(design.waves, wide), math.prod(wide) // 2
         # The first preconditioner is that of weights 2 C, also for reweighted equations.
-        none = torch.zeros(design.n_samples, dtype=torch.float64)
-        self._use(design.toeplitz(largest_weights(C, none)))
+        self._use(design.toeplitz(torch.full((design.n_samples,), 2 * C, dtype=torch.float64)))
         strengths = torch.cat([design.modes.strengths, design.modes.strengths[1:]])
         self._diagonal = 1 + strengths * self._centre
         self._largest = min(len(design.waves), solver.largest_block)

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import asdict, is_dataclass, replace
 from typing import Any
 
-import torch
-
-from suspnet.curves.problem import TRAIN, FeatureData, Problem, none_complete
+from suspnet.curves.problem import TRAIN, FeatureData, Problem
 from suspnet.curves.protocols import Task
 from suspnet.estimation.checkpoint import parameters
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.settings import check_settings
 from suspnet.ground.tensors import check_device
-from suspnet.learning import METHODS, Scaling, ranks
+from suspnet.learning import METHODS, Scaling
 from suspnet.learning.search import GridSearch, SearchResult
 from suspnet.runs.tensorboard import RunLog
 
@@ -50,7 +47,7 @@ def tune(problem: Problem, estimator: Any, search: GridSearch, run_log: RunLog) 
     inputs, outputs = scalings(problem.task, data)
     if search.n_curves is not None:
         data = data.first(search.n_curves)
-    n_settings = search.n_settings(name)
+    n_settings = len(search.settings_of(name))
     title = f"search of settings for {name}"
     with progress_bar(title, n_settings, unit="setting", shown=problem.progress) as bar:
 
@@ -76,38 +73,24 @@ def check_hyperparameters(estimator: Any) -> None:
 def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedModel:
     """Return the estimator fitted to the training curves, with its scaling and a summary.
 
-    Where torchrun started several processes, each makes its share of the curves and all fit one
-    model together; only the first has a `run_log`. ValueError if the method cannot be distributed.
     A regressor that is none of ``METHODS`` has its class's name.
     """
     names = {kind: name for name, kind in METHODS.items()}
     name = names.get(type(estimator), type(estimator).__name__)
-    if ranks.is_distributed() and not flag(estimator, "distributable"):
-        raise ValueError(
-            f"model={name} cannot be spread over processes, only msvr: start it with python, not "
-            "with torchrun"
-        )
     model = TrainedModel(
         name,
         estimator,
         replace(problem.task, extractor=problem.extractor),
         problem.generator,
-        replace(problem.settings, cache_dir=None),
+        problem.settings,
         problem.healthy_features(),
     )
     training: dict[str, Any] = {"seed": problem.seed, "seconds": 0.0}
     # methods that work on curves learn nothing: they fit the model's own curve to each
     if not flag(estimator, "works_on_curves"):
-        # each rank makes its own shard of the curves; counts and scalings are global
-        part = None
-        if ranks.is_distributed():
-            part = ranks.shard(problem.n_batches(len(problem.ratios(TRAIN))))
-        data = problem.features(TRAIN, part)
-        kept = data.subset(data.valid)
-        counts = torch.tensor([len(data.inputs), len(kept.inputs)])
-        n_made, n_kept = ranks.all_reduce(counts).tolist()
-        if not n_kept:
-            raise ValueError(none_complete(n_made, data.reasons, problem.extractor))
+        data = problem.features(TRAIN)
+        kept = data.complete(problem.extractor)
+        n_made, n_kept = len(data.inputs), len(kept.inputs)
         if 1 - n_kept / n_made > TOO_MANY_LOST:
             log.warning(
                 "%.1f %% of the training curves lack a feature and are left out; of peaks look at "
@@ -119,7 +102,7 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
         model = replace(model, input_scaling=inputs, output_scaling=outputs)
         start = time.perf_counter()
         shown = _FitProgress(estimator, name, run_log, n_kept, problem.progress)
-        with shown, _distributed(estimator):
+        with shown:
             estimator.fit(inputs.apply(kept.inputs), outputs.apply(kept.outputs))
         training["seconds"] = time.perf_counter() - start
         training |= {"n_train": n_made, "n_train_complete": n_kept}
@@ -134,23 +117,7 @@ def scalings(task: Task, data: FeatureData) -> tuple[Scaling, Scaling]:
         inputs, outputs = (Scaling.relative_changes(n, task.log_ratios) for n in widths)
         return inputs, outputs
     log_inputs = task.log_ratios and task.extractor.positive
-    return (
-        Scaling.of(data.inputs, log_inputs, ranks.all_reduce),
-        Scaling.of(data.outputs, task.log_ratios, ranks.all_reduce),
-    )
-
-
-@contextmanager
-def _distributed(estimator: Any) -> Iterator[None]:
-    """Make MSVR treat its samples as one rank's shard, if there are several ranks."""
-    if not ranks.is_distributed():
-        yield
-        return
-    estimator.set_params(distributed=True)
-    try:
-        yield
-    finally:
-        estimator.set_params(distributed=False)
+    return Scaling.of(data.inputs, log_inputs), Scaling.of(data.outputs, task.log_ratios)
 
 
 def _summary(estimator: Any) -> dict[str, Any]:

@@ -106,14 +106,14 @@ def regress_stream(
 ) -> FloatArray:
     """Return the regression's estimates, (n_curves, n_outputs); NaN where a feature is missing."""
     if not flag(model.estimator, "works_on_curves"):
-        batches = range(problem.n_batches(len(data.inputs)))
 
-        def batch(i: int) -> FloatArray:
-            inputs = data.inputs[i * BATCH : (i + 1) * BATCH]
+        def batch(start: int) -> FloatArray:
+            inputs = data.inputs[start : start + BATCH]
             return regress(model, problem.observer, inputs, Tensor())
 
         with pool_of(problem.threads if model.corrected else 1) as pool:
-            return np.concatenate(list(pool.map(batch, batches)))
+            starts = range(0, len(data.inputs), BATCH)
+            return np.concatenate(list(pool.map(batch, starts)))
 
     def fit(curves: Tensor, rows: slice, mass: FloatArray | None) -> FloatArray:
         return regress(model, problem.observer, data.inputs[rows], curves, mass)
@@ -167,9 +167,7 @@ def calibrated(problem: Problem, model: Model) -> Model:
         return model
     uncertain = problem.observer.directions.n > 0
     n_enough = N_UNCERTAIN_REFINED if model.refined else N_UNCERTAIN
-    data = problem.features(CALIBRATE, slice(-(-n_enough // BATCH)) if uncertain else None)
-    if uncertain:
-        data = data.first(n_enough)
+    data = problem.features(CALIBRATE, n_enough if uncertain else None)
     # decide on the correction first: intervals must describe the estimates that the model will give
     kept = data.valid
     model = replace(model, corrected=_is_corrected(problem, model, data))

@@ -15,7 +15,6 @@ from suspnet.bounds.information import (
     best_possible,
     output_bounds,
     over_bound,
-    range_limited,
     relative_percent,
 )
 from suspnet.curves.problem import TEST, Problem
@@ -38,6 +37,9 @@ N_BOUND = 200
 expensive there."""
 TOO_GOOD = 4.0
 """An rms error this many standard deviations below its bound raises a warning."""
+NARROW = 0.05
+"""Largest bound, over the range, for which that is so: an error far below may come from knowing a
+range that is hardly wider than the bound."""
 
 
 def label(model: FittedMethod) -> str:
@@ -114,14 +116,15 @@ def _rms_ratio(task: Task, outcome: Outcome, bounds: FloatArray) -> dict[str, fl
     for j, name in enumerate(task.outputs):
         if not np.isfinite(bounds[:, j]).all():
             continue
-        least = range_limited(bounds[:, j], truth[:, j], *task.range(name)) / truth[:, j]
-        if error[j] < (1 - TOO_GOOD * scatter) * np.sqrt(np.mean(least**2)):
+        low, high = task.range(name)
+        least = float(np.sqrt(np.mean((bounds[:, j] / truth[:, j]) ** 2)))
+        if least < NARROW * (high - low) and error[j] < (1 - TOO_GOOD * scatter) * least:
             log.warning(
-                "%s: rms error %.3g %% lies below the bound of %.3g %% by more than chance and the "
-                "known range explain; are test curves also used in the training?",
+                "%s: rms error %.3g %% lies below the bound of %.3g %% by more than chance "
+                "explains; are test curves also used in the training?",
                 name,
                 100 * error[j],
-                100 * np.sqrt(np.mean(least**2)),
+                100 * least,
             )
     return dict(zip(task.outputs, ratios.tolist(), strict=True))
 

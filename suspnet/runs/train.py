@@ -32,7 +32,6 @@ from suspnet.ground.parameters import REVERSE
 from suspnet.ground.progress import stage
 from suspnet.ground.settings import check_number
 from suspnet.ground.storage import write_json
-from suspnet.learning import ranks
 from suspnet.learning.search import GridSearch, SearchResult
 from suspnet.runs.fit import check_hyperparameters, fit, method_name, tune
 from suspnet.runs.predict import (
@@ -105,7 +104,7 @@ def train(
     Returns
     -------
     dict
-        Content of metrics.json; {} where another process (torchrun) writes and tests.
+        Content of metrics.json.
 
     Raises
     ------
@@ -125,19 +124,14 @@ def train(
     folder = Path(folder)
     method_name(estimator)
     check_saveable(estimator, problem)
-    if search is not None and ranks.is_distributed():
-        raise ValueError("a search cannot be spread over processes: start it with python")
-    if not ranks.is_rank_zero():
-        fit(problem, estimator, None)  # its share of the curves; rank 0 does all else
-        return {}
     if not context.config:  # programs look at their folder before
         ledger.begin(folder)
     with RunLog(folder, is_new=True) as run_log:
         run_log.config(context.config)
         search_result, search_notes = None, {}
-        single = None if search is None else search.single(method_name(estimator))
-        if single is not None:  # nothing to compare
-            estimator.set_params(**single)
+        tried = [] if search is None else search.settings_of(method_name(estimator))
+        if len(tried) == 1:  # nothing to compare
+            estimator.set_params(**tried[0])
         elif search is not None:
             start = time.perf_counter()
             search_result = tune(problem, estimator, search, run_log)
@@ -263,16 +257,11 @@ def train_ranges(
 ) -> None:
     """Train a model for each range of speeds in its own folder, and compare them in speeds.json.
 
-    `train_one` returns the content of metrics.json, or {} in a process that does not write or test.
+    `train_one` returns the content of metrics.json.
     """
-    rows: list[dict[str, Any]] = []
-    for speeds in ranges:
-        metrics = train_one(speeds, folder / speeds.name)
-        if metrics:
-            rows.append(_row(speeds, metrics))
-    if rows:
-        write_json(folder / "speeds.json", rows)
-        log.info("rms error in %% by speed\n\n%s\n-> %s", _table(rows), folder)
+    rows = [_row(speeds, train_one(speeds, folder / speeds.name)) for speeds in ranges]
+    write_json(folder / "speeds.json", rows)
+    log.info("rms error in %% by speed\n\n%s\n-> %s", _table(rows), folder)
 
 
 def _row(speeds: SpeedRange, metrics: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,26 +1,34 @@
 """Numbers of a vehicle that its drawings do not determine well, and their log-normal priors.
 
 Each multiplies a nominal value: that of the vehicle file or, for parts that files rarely describe,
-the one below. Priors are log-normal with the nominal values as medians and the spread between
-public vehicle models as deviations. For numbers that may be 0, one plus the ratio to nominal is
-log-normal: with a log-normal ratio a part that the vehicle does not have could not be fitted as
-absent, and its neighbours would be fitted wrongly in compensation.
+that of quantities.csv. Priors are log-normal with the nominal values as medians and the spread
+between public vehicle models as deviations. For numbers that may be 0, one plus the ratio to
+nominal is log-normal: with a log-normal ratio a part that the vehicle does not have could not be
+fitted as absent, and its neighbours would be fitted wrongly in compensation.
+
+Nominal values of the lateral numbers are those of the passenger vehicle of the Manchester
+benchmarks (Iwnicki, Vehicle System Dynamics 30, 295, 1998) as multibody programs publish it,
+rounded; the creep coefficient is that of Kalker's linear theory for a wheel load of about 50 kN.
+Yaw dampers are those of high-speed bogies, 100 to 500 kN s/m behind bushings of 5 to 10 MN/m (from
+memory: no source was at hand).
 """
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
 
+from suspnet.ground.parameters import COMPONENTS, CORNERS, SIDES
 from suspnet.ground.settings import check_choice, check_number
 from suspnet.ground.types import FloatArray
-from suspnet.vehicle.spatial_numbers import SPATIAL_NUMBERS
 
 TOLERANCE = 1e-9
 """A negative eigenvalue of a covariance up to this fraction of the largest one is rounding."""
@@ -52,154 +60,10 @@ class Quantity:
         return float(self.may_be_absent)
 
 
-_NUMBERS: dict[str, tuple[tuple[Any, ...], ...]] = {
-    "": (
-        ("speed", 0.0, "m/s", "speed"),
-        ("other_k_p", 0.0, "", "primary stiffness of the other bogie over healthy"),
-        ("other_c_p", 0.0, "", "primary damping of the other bogie over healthy"),
-        ("other_k_s", 0.2, "", "secondary stiffness of the other bogie over healthy"),
-        ("other_c_s", 0.2, "", "secondary damping of the other bogie over healthy"),
-        ("bogie_mass", 0.0, "kg", "bogie mass a side, which fixes the scale of all forces"),
-        ("half_wheelbase", 0.05, "m", "half wheelbase"),
-        ("half_pivot_distance", 0.05, "m", "half pivot distance"),
-        ("bogie_gyration", 0.15, "m", "radius of gyration of the bogie in pitch"),
-        ("body_gyration", 0.15, "m", "radius of gyration of the body in pitch"),
-        ("healthy_k_p", 0.2, "N/m", "healthy primary stiffness"),
-        ("healthy_c_p", 0.4, "N s/m", "healthy primary damping"),
-        ("healthy_k_s", 0.2, "N/m", "healthy secondary stiffness"),
-        ("healthy_c_s", 0.3, "N s/m", "healthy secondary damping"),
-    ),
-    "bushings": (
-        ("primary_bushing", 1.0, "N/m", "bushing of the primary damper", 2e6),
-        ("secondary_bushing", 1.0, "N/m", "bushing of the secondary damper", 1e7),
-    ),
-    "rubber": (
-        ("rubber_share", 0.6, "", "stiffness of the rubber's Maxwell branch over k_p", 0.05, True),
-        ("rubber_frequency", 0.3, "Hz", "relaxation frequency of the rubber's Maxwell branch", 5.0),
-        ("rubber_loss", 0.6, "", "loss factor of the rubber", 0.03, True),
-    ),
-    "guidance": (
-        (
-            "guidance_stiffness",
-            0.9,
-            "",
-            "pitch stiffness of the axle guidance over k_p a²",
-            0.1,
-            True,
-        ),
-        ("guidance_damping", 0.9, "", "pitch damping of the axle guidance over c_p a²", 0.1, True),
-    ),
-    "longitudinal": (
-        ("longitudinal_stiffness", 1.0, "N/m", "stiffness of the longitudinal links, a side", 1e5),
-        ("longitudinal_damping", 1.0, "N s/m", "damping of the longitudinal links, a side", 1e4),
-        ("body_lever", 0.3, "m", "lever of the longitudinal links below the body's centre", 0.75),
-        ("bogie_lever", 0.3, "m", "lever of the longitudinal links above the bogie's centre", 0.42),
-    ),
-    "yaw_dampers": (),  # those of ``SPATIAL_NUMBERS`` but for their lateral place
-    "bending": (
-        ("bending_frequency", 0.25, "Hz", "frequency of the body's first bending", 10.0),
-        ("bending_damping", 0.5, "", "damping ratio of the body's first bending", 0.015),
-        ("bending_at_pivot", 0.5, "", "shape of the first bending at the pivots", 0.45),
-        ("bending_at_sensor", 0.5, "", "shape of the first bending at the sensor", 0.45),
-        (
-            "bending_slope",
-            0.5,
-            "",
-            "slope of the first bending at the pivots times half their distance",
-            2.25,
-        ),
-    ),
-    "roll": (
-        ("body_roll_gyration", 0.25, "m", "radius of gyration of the body in roll", 1.3),
-        ("bogie_roll_gyration", 0.25, "m", "radius of gyration of the bogie in roll", 0.8),
-        ("primary_lateral", 0.2, "m", "half distance of the primary springs", 1.0),
-        ("secondary_lateral", 0.2, "m", "half distance of the secondary springs", 1.0),
-        ("anti_roll_bar", 1.0, "N m/rad", "stiffness of a bogie's anti-roll bar", 1e6),
-        (
-            "lateral_stiffness",
-            1.0,
-            "N/m",
-            "lateral stiffness between body and bogie, a side",
-            1.6e5,
-        ),
-        ("lateral_damping", 1.0, "N s/m", "lateral damping between body and bogie, a side", 1.6e4),
-        ("cross_level", 0.7, "", "density of half the cross level over the mean's", 0.5),
-        ("axle_box_lateral", 0.1, "m", "lateral place of the axle box's sensor"),
-        ("frame_lateral", 0.1, "m", "lateral place of the frame's sensor"),
-        ("body_lateral", 0.1, "m", "lateral place of the body's sensor"),
-    ),
-    "other_bogie": (),  # ``OF_THE_TRIP``, which every vehicle has
-    "payload": (
-        (
-            "bending_exponent",
-            0.3,
-            "",
-            "exponent with which the bending frequency falls with the body's mass",
-            0.35,
-            True,
-        ),
-        (
-            "gyration_exponent",
-            0.1,
-            "",
-            "exponent of the body's radius of gyration over its mass",
-            1.0,
-            True,
-            0.0,
-        ),
-        (
-            "stiffness_exponent",
-            0.5,
-            "",
-            "exponent of the secondary stiffness over the body's mass",
-            0.35,
-            True,
-        ),
-        (
-            "damping_exponent",
-            0.3,
-            "",
-            "exponent of the secondary damping over the body's mass",
-            1.0,
-            True,
-            0.0,
-        ),
-    ),
-    "sensors": (
-        ("frame_gain", 0.02, "", "sensitivity of the frame's sensor over the axle box's", 1.0),
-        ("body_gain", 0.02, "", "sensitivity of the body's sensor over the axle box's", 1.0),
-        ("frame_delay", 0.1, "s", "delay of the frame's sensor", 5e-3, True, 0.0),
-        ("body_delay", 0.1, "s", "delay of the body's sensor", 5e-3, True, 0.0),
-    ),
-    "wheelsets": (
-        (
-            "wheelset_share",
-            1.0,
-            "",
-            "density of what excites each wheelset alone over the mean track's",
-            0.002,
-            True,
-            0.0,
-        ),
-    ),
-    "axle_box_arm": (
-        (
-            "arm_share",
-            0.1,
-            "",
-            "share of the frame's motion under the axle box's sensor, which sits on its arm",
-            1.0,
-            True,
-            0.0,
-        ),
-    ),
-    "air_spring": (
-        ("volume_ratio", 0.5, "", "auxiliary volume over the air spring's", 2.0),
-        ("area_share", 1.0, "", "change of area over k_s", 0.1),
-    ),
-}
-"""Fields of ``Quantity`` after the part, by part; "" is for every vehicle."""
-PARTS = tuple(part for part in _NUMBERS if part)
+PARTS = (
+    *("bushings", "rubber", "guidance", "longitudinal", "yaw_dampers", "bending", "roll"),
+    *("other_bogie", "payload", "sensors", "wheelsets", "axle_box_arm", "air_spring"),
+)
 """Parts that a vehicle may have beyond rigid bodies on linear springs and dampers."""
 IN_MOTION = tuple(part for part in PARTS if part not in ("sensors", "wheelsets", "axle_box_arm"))
 """Parts of the vehicle's motion; the others describe measurement and excitation."""
@@ -214,25 +78,78 @@ FAILED_OTHER = {
 in configs/scenarios.yaml."""
 FAILED_DEVIATION = 0.5
 """Standard deviation of their logarithms then: a flat one is 4 to 12 times as stiff."""
-QUANTITIES = tuple(
-    Quantity("other_bogie" if row[0] in OF_THE_TRIP else part, *row)
-    for part, rows in _NUMBERS.items()
-    for row in rows
-) + tuple(
-    Quantity("yaw_dampers", *row)
-    for row in SPATIAL_NUMBERS["yaw_dampers"]
-    if row[0] != "yaw_lateral"
-)
-"""Every number, in the order of ``UNMEASURED``."""
-UNMEASURED = tuple(quantity.name for quantity in QUANTITIES)
-"""Names of the quantities: columns of ratios after ``PARAMETERS``, the speed first."""
 MASS_MEAN, MASS_DEVIATION = math.log(1.05), 0.15
 """Prior mean and standard deviation of the logarithm of a trip's car-body mass over nominal."""
 
-SPATIAL_QUANTITIES = tuple(
-    Quantity(part, *row) for part, rows in SPATIAL_NUMBERS.items() for row in rows
+IN_BETWEEN = tuple(
+    f"{place}_axle{axle}_middle" for place in ("axle_box", "frame") for axle in (1, 2)
 )
-"""Numbers that only a vehicle of twelve separate springs and dampers has."""
+"""Places of sensors in the middle, or of the mean of a left and a right one: they show no part."""
+PLACES = (
+    *(f"axle_box_{corner}" for corner in CORNERS),
+    *(f"frame_{corner}" for corner in CORNERS),
+    *(f"frame_centre_{side}" for side in (*SIDES, "middle")),
+    *(f"body_{side}" for side in (*SIDES, "middle")),
+    *IN_BETWEEN,
+)
+"""Places of vertical accelerometers: axle boxes of the measured bogie, its frame above the axles or
+at its centre, the body above the bogie; axles and sides as in ``CORNERS``."""
+ADDITIONS: dict[str, tuple[str, ...]] = {
+    "frame_sway": ("y_1", "y_2"),
+    "frame_yaw": ("chi_1", "chi_2"),
+    "body_yaw": ("chi",),
+    "creep": tuple(f"{motion}_w{wheel}" for wheel in range(1, 5) for motion in ("y", "chi")),
+    "torsion": ("tau_1", "tau_2"),
+}
+"""Parts that only a vehicle of twelve separate parts may have, each with its coordinates."""
+LATERAL = ("frame_sway", "frame_yaw", "creep")
+"""Parts with which the alignment of the track reaches the bogie frames."""
+
+
+def _read(vehicle: str) -> list[Quantity]:
+    """Return the rows of quantities.csv that are of a vehicle, "vertical" or "spatial"."""
+    with (Path(__file__).parent / "quantities.csv").open(encoding="utf-8", newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["vehicle"] == vehicle]
+    return [
+        Quantity(
+            "other_bogie" if row["name"] in OF_THE_TRIP else row["part"],
+            row["name"],
+            float(row["deviation"]),
+            row["unit"],
+            row["meaning"],
+            float(row["nominal"]) if row["nominal"] else None,
+            row["may_be_absent"] == "yes",
+            float(row["median"] or 1.0),
+        )
+        for row in rows
+    ]
+
+
+_SPATIAL = _read("spatial")
+QUANTITIES = (
+    *_read("vertical"),
+    *(q for q in _SPATIAL if q.part == "yaw_dampers" and q.name != "yaw_lateral"),
+)
+"""Every number of a vertical vehicle, in the order of ``UNMEASURED``."""
+UNMEASURED = tuple(quantity.name for quantity in QUANTITIES)
+"""Names of the quantities: columns of ratios after ``PARAMETERS``, the speed first."""
+_OWN = {"healthy": "healthy {} over the mean of its kind"}
+_OWN |= {"other": "{} of the other bogie over the mean of its kind"}
+SPATIAL_QUANTITIES = (
+    *(
+        Quantity("", f"{whose}_{name}", 0.05, "", meaning.format(name))
+        for whose, meaning in _OWN.items()
+        for name in COMPONENTS[:-1]
+    ),
+    *_SPATIAL,
+    *(Quantity("sensors", f"gain_{p}", 0.02, "", f"sensitivity of {p}", 1.0) for p in PLACES),
+    *(
+        Quantity("sensors", f"delay_{p}", 0.1, "s", f"delay of {p}", 5e-3, True, 0.0)
+        for p in PLACES
+    ),
+)
+"""Numbers that only a vehicle of twelve separate springs and dampers has. Sensitivity and delay of
+a sensor are relative to the first one of the vehicle's list."""
 _KNOWN = {quantity.name: quantity for quantity in (*QUANTITIES, *SPATIAL_QUANTITIES)}
 
 

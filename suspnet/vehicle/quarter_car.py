@@ -11,8 +11,7 @@ The paper prints the last term of (1) as k_p w' and swaps the names of z_p and z
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -20,15 +19,21 @@ from numpy.typing import ArrayLike
 from scipy.linalg import eigh
 from torch import Tensor
 
-from suspnet.ground.parameters import Direction
 from suspnet.ground.tensors import as_tensor, check_device
 from suspnet.ground.types import FloatArray
 from suspnet.vehicle.motion import LinearSystem
-from suspnet.vehicle.vehicle import PARAMETERS, Vehicle, angular, check_ratios, check_vehicle
+from suspnet.vehicle.vehicle import (
+    PARAMETERS,
+    ResponseGenerator,
+    Vehicle,
+    angular,
+    check_ratios,
+    check_vehicle,
+)
 
 
 @dataclass(frozen=True)
-class QuarterCar:
+class QuarterCar(ResponseGenerator):
     """Frequency responses of a vehicle's quarter-car model, batched over parameter ratios.
 
     `vehicle` is the healthy one, `device` the torch device of the returned tensors.
@@ -44,20 +49,11 @@ class QuarterCar:
     vehicle: Vehicle
     device: str = "cpu"
 
-    # neither speed nor direction matter, both bogies are alike, and every number is known
-    speed_m_per_s: ClassVar[None] = None
-    bogie: ClassVar[None] = None
-    direction: ClassVar[None] = None
-    distribution: ClassVar[None] = None
-    # without pitch and roll there is no fourth place, and a sensor measures the mean of both sides
-    further_places: ClassVar[tuple[str, ...]] = ()
-    sensor_lateral_m: ClassVar[tuple[float, float, float]] = (0.0, 0.0, 0.0)
-
     def __post_init__(self) -> None:
         check_vehicle(self.vehicle)
         check_device(self.device)
 
-    def parameters(self, ratios: Tensor | ArrayLike) -> Tensor:
+    def parameters(self, ratios: ArrayLike) -> Tensor:
         """Return (k_p, c_p, k_s, c_s, M_s) in SI units, shape (5, n_vehicles, 1).
 
         ValueError unless `ratios` is positive and finite, (n_vehicles, 5), or 6 with the speed.
@@ -69,9 +65,7 @@ class QuarterCar:
         healthy = torch.tensor(self.vehicle.healthy_values(), dtype=torch.float64)
         return (ratios.to(self.device, torch.float64) * healthy.to(self.device)).T.unsqueeze(-1)
 
-    def transfer_coefficients(
-        self, ratios: Tensor | ArrayLike
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def transfer_coefficients(self, ratios: ArrayLike) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return numerator and denominator of G_P and of G_S, ascending powers of s.
 
         G_P = num_p / den_p (Eq. 3 cleared of its inner fraction), G_S = num_s / den_s (Eq. 4), of
@@ -94,9 +88,7 @@ class QuarterCar:
         )
         return num_p, den_p, num_s, den_s
 
-    def responses(
-        self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
-    ) -> tuple[Tensor, Tensor]:
+    def responses(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> tuple[Tensor, Tensor]:
         """Return complex G_p and G_s at s = 2 pi j f, Eqs. (3) and (4), each (n_vehicles, n_freq).
 
         `ratios`: (n_vehicles, 5); `frequencies_hz`: (n_freq,).
@@ -108,12 +100,12 @@ class QuarterCar:
         )
         return num_p / den_p, num_s / den_s
 
-    def channels(self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike) -> Tensor:
+    def channels(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> Tensor:
         """Return axle box, frame and body for the one input, (n_vehicles, 1, 3, n_freq), [-]."""
         primary, secondary = self.responses(ratios, frequencies_hz)
         return torch.stack([torch.ones_like(primary), primary, primary * secondary], 1)[:, None]
 
-    def magnitudes(self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike) -> Tensor:
+    def magnitudes(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> Tensor:
         """Return abs(G_p) and abs(G_s) from real polynomials in omega^2, (n_vehicles, 2, n_freq).
 
         For p(s) = sum_k a_k s^k, abs(p(j omega))^2 is a polynomial in x = omega^2 with real
@@ -127,38 +119,6 @@ class QuarterCar:
         # torch's rsqrt takes half the time of its sqrt
         return torch.stack([den_p.div_(num_p), den_s.div_(num_s)], dim=1).rsqrt_()
 
-    def further_channels(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
-        """Return an empty tensor (n_vehicles, 1, 0, n_freq): there are no further places."""
-        shape = (len(ratios), 1, 0, len(frequencies_hz))
-        return torch.empty(shape, dtype=torch.complex128, device=self.device)
-
-    def with_uncertain(self, ratios: Tensor, numbers: Tensor) -> Tensor:
-        """Return the ratios unchanged, as this generator has no uncertain numbers."""
-        return ratios
-
-    def sample_unmeasured(self, ratios: Tensor, seed: int) -> Tensor:
-        """Return the ratios unchanged, as this generator has no uncertain numbers."""
-        return ratios
-
-    def of(self, vehicle: Vehicle) -> QuarterCar:
-        """Return the quarter car of another vehicle."""
-        return replace(self, vehicle=vehicle)
-
-    def running(self, direction: Direction) -> QuarterCar:
-        """Return the generator itself: it does not depend on the direction of travel."""
-        return self
-
-    def on(self, device: str) -> QuarterCar:
-        """Return the same generator on another device."""
-        return replace(self, device=device)
-
-    def assumptions(self) -> str:
-        """Return a sentence that states the assumptions of the generator."""
-        return (
-            "The quarter car has three places for sensors; generator=vertical_vehicle, where the "
-            "geometry is known, has more."
-        )
-
     def natural_modes(self) -> tuple[FloatArray, FloatArray]:
         """Return natural frequencies [Hz], ascending, and mode shapes of the undamped vehicle.
 
@@ -168,15 +128,13 @@ class QuarterCar:
         eigenvalues, shapes = eigh(system.stiffness, system.mass)
         return np.sqrt(eigenvalues) / (2 * math.pi), shapes
 
-    def dynamic_stiffness(
-        self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
-    ) -> Tensor:
+    def dynamic_stiffness(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> Tensor:
         """Return k_p + j omega c_p and k_s + j omega c_s, (n_vehicles, 2, n_freq), [N/m]."""
         k_p, c_p, k_s, c_s, _ = self.parameters(ratios)
         s = 1j * angular(frequencies_hz, self.device)
         return torch.stack([k_p + c_p * s, k_s + c_s * s], dim=1)
 
-    def motion_system(self, ratios: Tensor | ArrayLike) -> LinearSystem:
+    def motion_system(self, ratios: ArrayLike) -> LinearSystem:
         """Return the equations of motion of one vehicle, ratios (5,), for simulation in time."""
         k_p, c_p, k_s, c_s, m_s = self.parameters(as_tensor(ratios)[None]).flatten().tolist()
         return LinearSystem(

@@ -48,7 +48,7 @@ from torch import Tensor
 
 from suspnet.ground.types import FloatArray
 from suspnet.vehicle.motion import LinearSystem
-from suspnet.vehicle.spatial_numbers import ADDITIONS, LATERAL
+from suspnet.vehicle.quantities import ADDITIONS, LATERAL
 from suspnet.vehicle.vertical_motion import (
     RAIL_LATERAL_M,
     Acting,

@@ -20,13 +20,14 @@ from suspnet.ground.settings import check_choice, setting
 from suspnet.ground.tensors import as_tensor
 from suspnet.vehicle.motion import LinearSystem
 from suspnet.vehicle.quantities import (
+    ADDITIONS,
     PARTS,
+    PLACES,
     QUANTITIES,
     SPATIAL_QUANTITIES,
     Quantity,
 )
 from suspnet.vehicle.spatial_motion import is_lateral, spatial_motion
-from suspnet.vehicle.spatial_numbers import ADDITIONS, PLACES
 from suspnet.vehicle.spatial_response import (
     alone_responses,
     derivatives,
@@ -131,7 +132,7 @@ class SpatialVehicle(VehicleFamily):
         """
         return input_names(self.parts)
 
-    def channels(self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike) -> Tensor:
+    def channels(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> Tensor:
         """Return the response of each sensor to each input, acceleration per acceleration.
 
         Complex, (n_vehicles, n_inputs, n_sensors, n_freq), [-]; the inputs are scaled to the
@@ -142,9 +143,7 @@ class SpatialVehicle(VehicleFamily):
         rows, omega = self._rows(ratios), self._bins(frequencies_hz)
         return responses(self._layout, self._in_si, self._places, rows, omega)
 
-    def channels_alone(
-        self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
-    ) -> Tensor:
+    def channels_alone(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> Tensor:
         """Return the response of each sensor to each input of the track under one wheelset alone.
 
         Complex, (n_vehicles, n_kinds, 4, n_sensors, n_freq), [-], scaled as those of `channels`;
@@ -156,9 +155,9 @@ class SpatialVehicle(VehicleFamily):
 
     def channels_along(
         self,
-        ratios: Tensor | ArrayLike,
-        frequencies_hz: Tensor | ArrayLike,
-        directions: Tensor | ArrayLike,
+        ratios: ArrayLike,
+        frequencies_hz: ArrayLike,
+        directions: ArrayLike,
     ) -> tuple[Tensor, Tensor]:
         """Return `channels` and their derivatives along directions of the columns' logarithms.
 
@@ -184,7 +183,7 @@ class SpatialVehicle(VehicleFamily):
             slopes.append(torch.tensordot(along[:, sizes != 0].to(response), by_column, 1))
         return torch.stack(channels), torch.stack(slopes)
 
-    def motion_system(self, ratios: Tensor | ArrayLike) -> LinearSystem:
+    def motion_system(self, ratios: ArrayLike) -> LinearSystem:
         """Return the equations of motion of one vehicle, its ratios (13,), (14,) or all columns.
 
         The inputs are the height of the track under wheelsets 1 to 4 [m], its angle [rad] and, if
@@ -193,7 +192,7 @@ class SpatialVehicle(VehicleFamily):
         """
         return spatial_motion(self._layout, self._numbers(as_tensor(ratios)[None]), self._places)
 
-    def _bins(self, frequencies_hz: Tensor | ArrayLike) -> Tensor:
+    def _bins(self, frequencies_hz: ArrayLike) -> Tensor:
         omega = angular(frequencies_hz, self.device)
         if not bool((omega > 0).all()):
             raise ValueError("`frequencies_hz` must be positive")

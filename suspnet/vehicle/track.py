@@ -15,7 +15,6 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.fft import irfft, next_fast_len
-from scipy.integrate import quad
 
 from suspnet.ground.settings import check_choice, check_number
 from suspnet.ground.types import FloatArray
@@ -253,8 +252,8 @@ def track_spectrum(
 
     Examples
     --------
-    >>> round(1e3 * band_rms(track_spectrum("german_low"), 3.0, 25.0), 2)
-    0.98
+    >>> float(track_spectrum("german_low").density(np.array([0.1]))[0].round(9))
+    1.05e-07
     """
     check_choice("track", name, sorted(TRACKS))
     check_number("short_wave_from_m", short_wave_from_m, above=0)
@@ -273,23 +272,6 @@ def track_spectrum(
         ),
         source=f"{spectrum.source}; below {short_wave_from_m:g} m: 0.036 n^-3.15 mm^2 m",
     )
-
-
-def band_rms(spectrum: TrackSpectrum, shortest_m: float, longest_m: float) -> float:
-    """Return the RMS elevation of all wavelengths between two bounds, [m].
-
-    ``sqrt(integral of S(n) dn from 1 / longest_m to 1 / shortest_m)``, integrated over log n.
-    """
-    check_band(shortest_m, longest_m)
-    variance, _ = quad(
-        lambda log_n: float(spectrum.density(np.array([math.exp(log_n)]))[0]) * math.exp(log_n),
-        -math.log(longest_m),
-        -math.log(shortest_m),
-        epsabs=0.0,
-        epsrel=1e-9,
-        limit=500,
-    )
-    return math.sqrt(variance)
 
 
 def acceleration_density(

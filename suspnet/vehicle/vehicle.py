@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, ClassVar, Protocol, runtime_checkable
+from typing import Annotated, Any, ClassVar, Self
 
 import torch
 from numpy.typing import ArrayLike
@@ -234,103 +234,75 @@ def _check_damping(vehicle: Vehicle, suspension: str, ratio: float) -> None:
     )
 
 
-@runtime_checkable
-class ResponseGenerator(Protocol):
+class ResponseGenerator:
     """Frequency responses of degraded vehicles: axle box to bogie (G_p), bogie to body (G_s).
 
-    `vehicle` is the healthy one, `device` the torch device of the returned tensors, `speed_m_per_s`
-    None if the responses do not depend on it, `bogie` the measured one, "leading" or "trailing",
-    None if the model applies to both, `direction` of travel None if they do not depend on it.
-    `distribution` is that of the uncertain numbers, None if there are none; `further_places` are
-    names of further places for sensors (on the frame, on the body, the second axle box);
-    `sensor_lateral_m` the lateral place of the sensors on axle box, frame and body, 0 is the mean
-    of a left and a right one.
+    A generator is a frozen dataclass of this base. `vehicle` is the healthy one, `device` the torch
+    device of the returned tensors; the defaults suit a generator that depends neither on speed nor
+    on direction, has two bogies alike, and knows every number. `bogie` is the measured one,
+    `distribution` that of the uncertain numbers, `sensor_lateral_m` the lateral place of the
+    sensors on axle box, frame and body, 0 being the mean of a left and a right one.
     """
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
+    vehicle: Vehicle
+    device: str
+    speed_m_per_s: float | None = None
+    bogie: str | None = None
+    direction: Direction | None = None
+    distribution: LogNormal | None = None
+    sensor_lateral_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
-    @property
-    def vehicle(self) -> Vehicle: ...  # noqa: D102
-
-    @property
-    def device(self) -> str: ...  # noqa: D102
-
-    @property
-    def speed_m_per_s(self) -> float | None: ...  # noqa: D102
-
-    @property
-    def bogie(self) -> str | None: ...  # noqa: D102
-
-    @property
-    def direction(self) -> Direction | None: ...  # noqa: D102
-
-    @property
-    def distribution(self) -> LogNormal | None: ...  # noqa: D102
-
-    @property
-    def further_places(self) -> tuple[str, ...]: ...  # noqa: D102
-
-    @property
-    def sensor_lateral_m(self) -> tuple[float, float, float]: ...  # noqa: D102
-
-    def responses(self, ratios: Tensor, frequencies_hz: Tensor) -> tuple[Tensor, Tensor]:
+    def responses(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> tuple[Tensor, Tensor]:
         """Return complex G_p and G_s, (n_vehicles, n_freq), [-].
 
         `ratios`: (n_vehicles, 5) or (n_vehicles, 6), k_p, c_p, k_s, c_s, M_s relative to healthy,
         then the speed relative to ``speed_m_per_s``; `frequencies_hz`: (n_freq,).
         """
-        ...
+        raise NotImplementedError
 
-    def channels(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
+    def channels(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> Tensor:
         """Return axle box, frame and body for each independent input of the track, complex [-].
 
         Shape (n_vehicles, n_inputs, 3, n_freq). Each input is scaled to the density of the first,
         the mean of both rails, so that expected spectra are sums over inputs.
         """
-        ...
+        raise NotImplementedError
 
-    def magnitudes(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
+    def dynamic_stiffness(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> Tensor:
+        """Return kappa_p and kappa_s of one bogie side, complex (n_vehicles, 2, n_freq), [N/m]."""
+        raise NotImplementedError
+
+    def motion_system(self, ratios: ArrayLike) -> LinearSystem:
+        """Return the equations of motion of one vehicle, ratios (5,), for simulation in time."""
+        raise NotImplementedError
+
+    def magnitudes(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> Tensor:
         """Return abs(G_p) and abs(G_s) as one real tensor of shape (n_vehicles, 2, n_freq)."""
-        ...
-
-    def further_channels(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
-        """Return responses at ``further_places``, (n_vehicles, n_inputs, n_places, n_freq)."""
-        ...
+        return torch.stack(self.responses(ratios, frequencies_hz), dim=1).abs()
 
     def with_uncertain(self, ratios: Tensor, numbers: Tensor) -> Tensor:
         """Return ratios with all columns; the uncertain ones are `numbers`, (n_vehicles, n)."""
-        ...
+        return ratios
 
     def sample_unmeasured(self, ratios: Tensor, seed: int) -> Tensor:
         """Return ratios with all columns; the uncertain ones are drawn from their distribution."""
-        ...
-
-    def dynamic_stiffness(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
-        """Return kappa_p and kappa_s of one bogie side, complex (n_vehicles, 2, n_freq), [N/m]."""
-        ...
-
-    def motion_system(self, ratios: Tensor) -> LinearSystem:
-        """Return the equations of motion of one vehicle, ratios (5,), for simulation in time."""
-        ...
+        return ratios
 
     def of(self, vehicle: Vehicle) -> ResponseGenerator:
         """Return the generator for another vehicle, a simpler one if its geometry is missing."""
-        ...
+        return replace(self, vehicle=vehicle)
 
-    def running(self, direction: Direction) -> ResponseGenerator:
+    def running(self, direction: Direction) -> Self:
         """Return the same generator for another direction of travel."""
-        ...
+        return self
 
-    def on(self, device: str) -> ResponseGenerator:
+    def on(self, device: str) -> Self:
         """Return the same generator on another device."""
-        ...
-
-    def assumptions(self) -> str:
-        """Return a sentence that states the assumptions of the generator."""
-        ...
+        return replace(self, device=device)
 
 
-def angular(frequencies_hz: Tensor | ArrayLike, device: str) -> Tensor:
+def angular(frequencies_hz: ArrayLike, device: str) -> Tensor:
     """Return the angular frequencies on a device, [rad/s].
 
     ValueError unless they are (n_freq,), finite and not negative.

@@ -158,7 +158,7 @@ class VehicleFamily:
         """Return the vehicle with every number that it has as uncertain as before any trip."""
         return replace(self, distribution=LogNormal.prior(self._groups, self.quantities))
 
-    def sample_unmeasured(self, ratios: Tensor | ArrayLike, seed: int) -> Tensor:
+    def sample_unmeasured(self, ratios: ArrayLike, seed: int) -> Tensor:
         """Return ratios (n_vehicles, n_outputs or 1 more) with all ``columns``.
 
         The uncertain columns are drawn from the distribution, the others are 1.
@@ -185,19 +185,6 @@ class VehicleFamily:
     def on(self, device: str) -> Self:
         """Return the same generator on another device."""
         return replace(self, device=device)
-
-    def assumptions(self) -> str:
-        """Return a sentence that states the assumptions of the generator."""
-        n_uncertain = 0 if self.distribution is None else len(self.distribution.names)
-        if n_uncertain:
-            return (
-                f"The vehicle pitches; {n_uncertain} of its numbers are uncertain and estimated "
-                "too, all others are taken as known exactly."
-            )
-        return (
-            "The vehicle pitches; speed, geometry, inertias and the other bogie are taken as known "
-            "exactly."
-        )
 
     def complete(self, ratios: Tensor) -> Tensor:
         """Return ratios with all columns: missing ones are the distribution's median, else 1."""
@@ -240,16 +227,16 @@ class VehicleFamily:
         return Layout(*place, self.parts, self.vehicle.body_mass_kg)
 
     def _prepared(
-        self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
+        self, ratios: ArrayLike, frequencies_hz: ArrayLike
     ) -> tuple[dict[str, Tensor], Tensor]:
         """Return every number of the vehicles in SI units, and the angular frequencies [rad/s]."""
         return self._numbers(ratios), angular(frequencies_hz, self.device)
 
-    def _rows(self, ratios: Tensor | ArrayLike) -> Tensor:
+    def _rows(self, ratios: ArrayLike) -> Tensor:
         """Return checked ratios with all columns on the generator's device."""
         return self.complete(as_tensor(ratios).to(self.device, torch.float64))
 
-    def _numbers(self, ratios: Tensor | ArrayLike) -> dict[str, Tensor]:
+    def _numbers(self, ratios: ArrayLike) -> dict[str, Tensor]:
         """Return every number of the vehicle in SI units, each of shape (n_vehicles, 1)."""
         return self._in_si(self._rows(ratios))
 

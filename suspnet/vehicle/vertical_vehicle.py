@@ -6,10 +6,9 @@ The equations are in `suspnet.vehicle.vertical_response`, the motion in time in
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from numpy.typing import ArrayLike
@@ -19,18 +18,16 @@ from suspnet.ground.tensors import as_tensor
 from suspnet.vehicle.motion import LinearSystem
 from suspnet.vehicle.quarter_car import QuarterCar
 from suspnet.vehicle.vehicle import GEOMETRY, ResponseGenerator, Vehicle
-from suspnet.vehicle.vehicle_family import OTHER_END, VehicleFamily
+from suspnet.vehicle.vehicle_family import VehicleFamily
 from suspnet.vehicle.vertical_motion import primary_element, secondary_element, vertical_motion
 from suspnet.vehicle.vertical_response import bounced, excited, moved, phasor, rolled, wheels_of
 
 
 @dataclass(frozen=True)
-class VerticalVehicle(VehicleFamily):
+class VerticalVehicle(VehicleFamily, ResponseGenerator):
     """Frequency responses axle box -> frame -> body of a vehicle with two pitching bogies."""
 
-    def responses(
-        self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
-    ) -> tuple[Tensor, Tensor]:
+    def responses(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> tuple[Tensor, Tensor]:
         """Return complex G_p (axle box to frame sensor) and G_s (frame to body sensor).
 
         They are the responses to the mean of both rails, each (n_vehicles, n_freq); see `channels`.
@@ -43,7 +40,7 @@ class VerticalVehicle(VehicleFamily):
         box, frame, body = (moved(place, wheels) for place in self._felt(p, omega))
         return frame / box, body / frame
 
-    def channels(self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike) -> Tensor:
+    def channels(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> Tensor:
         """Return axle box, frame and body for each input, (n_vehicles, n_inputs, 3, n_freq), [-].
 
         The inputs are the mean of both rails, then what excites each wheelset alone if `parts` has
@@ -77,55 +74,13 @@ class VerticalVehicle(VehicleFamily):
         """Whether sensors measure roll: the vehicle has roll, and a sensor is off the middle."""
         return "roll" in self.parts and any(self.sensor_lateral_m)
 
-    def magnitudes(self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike) -> Tensor:
-        """Return abs(G_p) and abs(G_s) as one real tensor of shape (n_vehicles, 2, n_freq)."""
-        return torch.stack(self.responses(ratios, frequencies_hz), dim=1).abs()
-
-    @property
-    def further_places(self) -> tuple[str, ...]:
-        """Names of places for further sensors: on the frame, on the body, the other axle box."""
-        elsewhere = self._elsewhere
-        frame = {"centre": "frame centre", "axle": "frame above the axle"}[elsewhere.frame_sensor]
-        bogie = "other" if elsewhere.body_sensor_m else "measured"
-        return frame, f"body above the {bogie} bogie", "second axle box"
-
-    def further_channels(
-        self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
-    ) -> Tensor:
-        """Return responses at ``further_places``, (n_vehicles, n_inputs, n_places, n_freq), [-].
-
-        The second axle box follows the track a wheelbase later, or earlier if it leads.
-        """
-        channels = self._elsewhere.channels(ratios, frequencies_hz)
-        both = wheels_of(self._layout, *self._prepared(ratios, frequencies_hz))[:2]
-        late = both[1 if self._layout.axle == "leading" else 0][:, None, None]
-        second = replace(self, axle=OTHER_END[self.axle]).channels(ratios, frequencies_hz)[:, :, :1]
-        # what excites a wheelset alone has no delay between axles
-        of_track = [0, -1] if self.rolls else [0]
-        second[:, of_track] = late * second[:, of_track]
-        return torch.cat([channels[:, :, 1:], second], dim=2)
-
-    @property
-    def _elsewhere(self) -> VerticalVehicle:
-        """The generator with its frame and body sensor moved to the further places."""
-        half_pivot_m = self.vehicle.half_pivot_distance_m
-        assert half_pivot_m is not None
-        other_m = -2 * half_pivot_m if self.bogie == "leading" else 2 * half_pivot_m
-        body_sensor_m = 0.0 if math.isclose(self.body_sensor_m, other_m) else other_m
-        frame_sensor: Literal["axle", "centre"] = (
-            "centre" if self.frame_sensor == "axle" else "axle"
-        )
-        return replace(self, frame_sensor=frame_sensor, body_sensor_m=body_sensor_m)
-
     def of(self, vehicle: Vehicle) -> ResponseGenerator:
         """Return the generator with these settings for another vehicle; see `best_generator`."""
         if all(getattr(vehicle, name) is None for name in GEOMETRY):
             return QuarterCar(vehicle, self.device)
         return replace(self, vehicle=vehicle)
 
-    def dynamic_stiffness(
-        self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
-    ) -> Tensor:
+    def dynamic_stiffness(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> Tensor:
         """Return kappa_p and kappa_s of the measured bogie, (n_vehicles, 2, n_freq), [N/m]."""
         p, omega = self._prepared(ratios, frequencies_hz)
         return torch.stack(
@@ -136,7 +91,7 @@ class VerticalVehicle(VehicleFamily):
             dim=1,
         )
 
-    def motion_system(self, ratios: Tensor | ArrayLike) -> LinearSystem:
+    def motion_system(self, ratios: ArrayLike) -> LinearSystem:
         """Return the equations of motion of one vehicle, its ratios (5,), (6,) or all columns.
 
         Sensitivity and delay of sensors, and what excites single wheelsets, are no part of it.

@@ -12,7 +12,7 @@ from suspnet.bounds.information import ROWS, cramer_rao, fisher_information
 from suspnet.curves.estimates import EstimateSettings
 from suspnet.vehicle import PARAMETERS, QuarterCar, VerticalVehicle
 
-SETTINGS = EstimateSettings(snr_db=30.0, minutes=10.0, high_hz=9.9, cache_dir=None).bound(AM96)
+SETTINGS = EstimateSettings(snr_db=30.0, minutes=10.0, high_hz=9.9).bound(AM96)
 QUARTER_CAR = SETTINGS.observer(QuarterCar(AM96))
 PITCHING = SETTINGS.observer(VerticalVehicle(AM96))
 BODY_HIGH_HZ = 6.0
@@ -73,9 +73,7 @@ def test_information_equals_finite_differences(observer, parameters):
 )
 def test_bound_is_reached_by_least_squares(method, parameters):
     """Gauss-Newton on draws of the estimate, weighted by the inverse covariance of each bin."""
-    settings = EstimateSettings(
-        snr_db=30.0, minutes=20.0, method=method, high_hz=9.9, cache_dir=None
-    ).bound(AM96)
+    settings = EstimateSettings(snr_db=30.0, minutes=20.0, method=method, high_hz=9.9).bound(AM96)
     observer = settings.observer(QuarterCar(AM96))
     n_draws, step = 400, 1e-5
     columns = [PARAMETERS.index(name) for name in parameters]
@@ -114,7 +112,7 @@ def test_bound_is_reached_by_least_squares(method, parameters):
 def test_hardly_any_noise_tells_the_parameters_from_each_other():
     bounds = []
     for minutes in (10.0, 1000.0):
-        settings = EstimateSettings(snr_db=120.0, minutes=minutes, cache_dir=None).bound(AM96)
+        settings = EstimateSettings(snr_db=120.0, minutes=minutes).bound(AM96)
         source = settings.observer(QuarterCar(AM96))
         bounds.append(cramer_rao(fisher_information(source, DEGRADED[None], PARAMETERS))[0])
         assert np.isfinite(bounds[-1]).all()
@@ -127,7 +125,7 @@ def test_hardly_any_noise_tells_the_parameters_from_each_other():
 def test_information_grows_with_the_averages():
     found = []
     for minutes in (10.0, 80.0):
-        settings = EstimateSettings(snr_db=30.0, minutes=minutes, cache_dir=None).bound(AM96)
+        settings = EstimateSettings(snr_db=30.0, minutes=minutes).bound(AM96)
         observer = settings.observer(QuarterCar(AM96))
         found.append(
             fisher_information(observer, DEGRADED[None], ("k_p", "k_s")) / settings.n_averages
@@ -152,7 +150,7 @@ def test_fewer_unknowns_are_known_better():
 
 
 def test_information_of_many_vehicles_equals_one_by_one():
-    settings = EstimateSettings(minutes=10.0, low_hz=1.0, high_hz=2.0, cache_dir=None)
+    settings = EstimateSettings(minutes=10.0, low_hz=1.0, high_hz=2.0)
     observer = settings.observer(QuarterCar(AM96))
     ratios = np.random.default_rng(0).uniform(0.7, 1.4, (ROWS + 3, 5))
     together = fisher_information(observer, ratios, ("k_s", "c_s"))

@@ -14,9 +14,7 @@ from suspnet.bounds.information import (
     cramer_rao,
     fisher_information,
     output_bounds,
-    range_limited,
     relative_percent,
-    scale_ambiguity_bound,
 )
 from suspnet.curves.curves import CurveSettings
 from suspnet.curves.problem import TEST
@@ -29,15 +27,6 @@ DEGRADED = np.array([0.8, 1.3, 1.2, 0.9, 1.1])
 
 def bound(quarter_car, ratios, **options):
     return cramer_rao(fisher_information(OBSERVED.observer(quarter_car), ratios, **options))
-
-
-def continuous_population(task, n, seed):
-    """Return ratios with k_s, c_s uniform in their range and the mass on its grid."""
-    rng = np.random.default_rng(seed)
-    ratios = np.ones((n, 5))
-    ratios[:, 2:4] = rng.uniform(task.lower, task.upper, (n, 2))
-    ratios[:, 4] = rng.choice(task.levels("M_s"), n)
-    return ratios
 
 
 # reference
@@ -100,40 +89,6 @@ def test_cramer_rao_of_a_small_matrix_by_hand():
     np.testing.assert_allclose(cramer_rao(information), expected, rtol=1e-12)
 
 
-def least_error_by_sums(theta, s, low, high):
-    """Return the rms error of the posterior mean: sums over the noise, and over the range."""
-    noise = np.linspace(-8, 8, 2001)
-    inside = low + (high - low) * (np.arange(3000) + 0.5) / 3000
-    posterior = np.exp(-(((theta + s * noise[:, None] - inside) / s) ** 2) / 2)
-    mean = posterior @ inside / posterior.sum(axis=1)
-    weights = np.exp(-(noise**2) / 2)
-    return math.sqrt(weights @ (mean - theta) ** 2 / weights.sum())
-
-
-@pytest.mark.every_value
-@pytest.mark.parametrize("s", [0.02, 0.1, 0.5, 3.0])
-@pytest.mark.parametrize("theta", [0.5, 0.55, 0.8, 1.25, 1.9, 2.0])
-def test_range_limited_error_is_that_of_the_posterior_mean(s, theta):
-    found = range_limited(np.array([s]), np.array([theta]), 0.5, 2.0)[0]
-    # the sum over the range is exact to 1e-4, the quadrature over the noise to a few 1e-3
-    assert found == pytest.approx(least_error_by_sums(theta, s, 0.5, 2.0), rel=5e-3)
-
-
-def test_range_limited_error_is_reached_by_the_best_of_many_estimators():
-    """Draw parameters and estimates; predict the mean of the parameters seen about an estimate."""
-    rng = np.random.default_rng(7)
-    low, high, s, n = 0.5, 2.0, 0.4, 400_000
-    theta = rng.uniform(low, high, (2, n))
-    cells = np.floor((theta + s * rng.standard_normal((2, n)) + 2) / 0.02).astype(int)
-    counts = np.bincount(cells[0], minlength=400)
-    learnt = np.bincount(cells[0], theta[0], minlength=400) / np.maximum(counts, 1)
-    error = learnt[cells[1]] - theta[1]
-    levels = np.linspace(low, high, 601)
-    least = range_limited(np.full(601, s), levels, low, high)
-    assert math.sqrt(np.mean(least**2)) == pytest.approx(error.std(), rel=0.01)
-    assert error.std() < 0.85 * s
-
-
 def test_bounds_of_the_joint_protocol_are_those_of_the_design_page(task, quarter_car):
     ratios = task("joint", "all").sample(512, seed=0, stream=TEST)
     relative = 100 * np.median(bound(quarter_car, ratios) / ratios, axis=0)
@@ -150,80 +105,6 @@ def test_bounds_of_the_groups_are_those_of_the_design_page(task, quarter_car, gr
     bounds = bound(quarter_car, ratios, parameters=problem.unknown)[:, :2]
     relative = 100 * np.median(bounds / ratios[:, problem.output_indices], axis=0)
     np.testing.assert_allclose(relative, expected, rtol=0.1)
-
-
-def test_scale_ambiguity_bound_is_that_of_the_design_page(task):
-    problem = task("own_curve", "secondary")
-    limit = scale_ambiguity_bound(problem, continuous_population(problem, 200_000, seed=0))
-    for name in ("k_s", "c_s"):
-        assert limit[name]["mape_percent"] == pytest.approx(15.7, abs=0.15)
-        assert limit[name]["rmse"] == pytest.approx(0.232, abs=0.002)
-
-
-def test_scale_ambiguity_bound_equals_a_predictor_learnt_by_counting(task):
-    """Count the masses met in each small cell of (k_s / M_s, c_s / M_s); predict from the counts.
-
-    The counts come from one population and the errors from another.
-    """
-    problem, n_cells = task("own_curve", "secondary"), 60
-    levels = problem.levels("M_s")
-
-    def population(n, seed):
-        ratios = continuous_population(problem, n, seed)
-        mass = ratios[:, 4]
-        place = np.log(ratios[:, 2:4] / mass[:, None] / 0.25) / math.log(16) * n_cells
-        row, column = np.floor(place).astype(int).T
-        return ratios, row * n_cells + column
-
-    ratios, cell = population(1_000_000, seed=1)
-    counts = np.zeros((n_cells**2, len(levels)))
-    np.add.at(counts, (cell, np.rint((ratios[:, 4] - 0.5) / 0.1).astype(int)), 1)
-    share = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
-    mean = share @ levels
-    weights = np.cumsum(share / levels, axis=1)
-    median = levels[(weights >= 0.5 * weights[:, -1:]).argmax(axis=1)]
-
-    ratios, cell = population(300_000, seed=2)
-    mass, slope = ratios[:, 4], ratios[:, 2] / ratios[:, 4]
-    mape = 100 * np.mean(np.abs(median[cell] / mass - 1))
-    rmse = math.sqrt(np.mean((slope * (mean[cell] - mass)) ** 2))
-    limit = scale_ambiguity_bound(problem, ratios)["k_s"]
-    # cells of finite width cost the counting predictor up to 1 %
-    assert limit["mape_percent"] == pytest.approx(mape, rel=0.015)
-    assert limit["rmse"] == pytest.approx(rmse, rel=0.015)
-    assert limit["mape_percent"] < mape + 0.05
-    assert limit["rmse"] < rmse + 0.001
-
-
-@pytest.mark.parametrize(("stiffness", "damping"), [(1.1, 1.2), (0.7, 0.9), (1.55, 0.7)])
-def test_scale_ambiguity_bound_equals_a_brute_force_posterior(task, stiffness, damping):
-    """A few possible masses; the best guess of k_s is searched on a fine grid."""
-    problem = task("own_curve", "secondary", mass_step=0.25)
-    levels = problem.levels("M_s")
-    assert levels.tolist() == [0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0]
-    # probability that uniform k_s, c_s fall in a small box about the given quotients
-    side = 1e-6
-
-    def overlap(quotient, m):
-        low, high = quotient * m, (quotient + side) * m
-        return max(0.0, min(high, problem.upper) - max(low, problem.lower))
-
-    posterior = np.array([overlap(stiffness, m) * overlap(damping, m) for m in levels])
-    posterior /= posterior.sum()
-    possible = posterior > 0
-    assert 3 <= possible.sum() < len(levels)
-    guesses = np.linspace(0.5, 2.0, 15_001)[:, None]
-    actual = stiffness * levels
-    by_mape = guesses[(np.abs(guesses / actual - 1) @ posterior).argmin(), 0]
-    by_rmse = guesses[((guesses - actual) ** 2 @ posterior).argmin(), 0]
-    for m in levels[possible]:
-        ratios = np.array([[1, 1, stiffness * m, damping * m, m]])
-        limit = scale_ambiguity_bound(problem, ratios)["k_s"]
-        # the guesses are 1e-4 apart
-        assert limit["mape_percent"] == pytest.approx(
-            100 * abs(by_mape / (stiffness * m) - 1), abs=0.03
-        )
-        assert limit["rmse"] == pytest.approx(abs(by_rmse - stiffness * m), abs=2e-4)
 
 
 # limit
@@ -307,14 +188,6 @@ def best(quarter_car, problem, n=200):
     return best_possible(problem, bounds, ratios), ratios
 
 
-def test_best_possible_is_the_ambiguity_where_the_mass_cannot_be_told_apart(task, quarter_car):
-    problem = task("own_curve", "secondary")
-    found, ratios = best(quarter_car, problem)
-    limit = scale_ambiguity_bound(problem, ratios)
-    assert found == {name: limit[name] for name in ("k_s", "c_s")}
-    assert found["k_s"]["mape_percent"] > 10
-
-
 @pytest.mark.parametrize(
     ("name", "group", "changes"),
     [
@@ -346,26 +219,23 @@ def test_best_possible_is_the_cramer_rao_bound_elsewhere(task, quarter_car, name
 
 
 @pytest.mark.parametrize(
-    ("outputs", "varied", "limited_by_scale"),
+    ("outputs", "varied"),
     [
-        (["k_s"], ("k_s", "M_s"), ()),
-        (["c_s"], ("c_s", "M_s"), ()),
-        (["k_p", "k_s"], ("k_s", "M_s"), ()),
-        (["k_p", "k_s", "c_s"], (), ("k_s", "c_s")),
+        (["k_s"], ("k_s", "M_s")),
+        (["c_s"], ("c_s", "M_s")),
+        (["k_p", "k_s"], ("k_s", "M_s")),
+        (["k_p", "k_s", "c_s"], ()),
     ],
 )
-def test_best_possible_is_the_bound_of_what_varies(quarter_car, outputs, varied, limited_by_scale):
+def test_best_possible_is_the_bound_of_what_varies(quarter_car, outputs, varied):
     """G_s alone with the mass unknown: separable unless springs and dampers vary together."""
     groups = {"one": {"outputs": outputs, "responses": ["G_s"], "peaks": ["secondary"]}}
     problem = shipped_protocol("own_curve", groups=groups).task("one")
     found, ratios = best(quarter_car, problem, n=20)
     assert tuple(found) == problem.outputs
-    of_scale = scale_ambiguity_bound(problem, ratios)
     columns = [PARAMETERS.index(name) for name in varied]
     for name in outputs:
-        if name in limited_by_scale:
-            assert found[name] == of_scale[name]
-        elif name in varied:
+        if name in varied:
             every = [
                 reference.fisher_by_differences(
                     quarter_car.vehicle, row, FREQUENCIES.numpy(), 34.0, columns, [1]
@@ -375,8 +245,8 @@ def test_best_possible_is_the_bound_of_what_varies(quarter_car, outputs, varied,
             deviation = np.sqrt(np.linalg.inv(every)[:, 0, 0])
             mape = 100 * np.mean(math.sqrt(2 / math.pi) * deviation / ratios[:, columns[0]])
             assert found[name]["mape_percent"] == pytest.approx(mape, rel=1e-5)
-            assert mape < of_scale[name]["mape_percent"] / 50
-        else:  # G_s does not depend on it
+            assert mape < 0.5
+        else:  # G_s does not depend on it, or cannot separate it from the mass
             assert found[name] == {"mape_percent": math.inf, "rmse": math.inf}
 
 
@@ -401,29 +271,6 @@ def test_bounds_of_several_sets_are_those_of_the_vehicles_own(quarter_car, task)
     np.testing.assert_allclose(output_bounds(problem, observer, anywhere), expected, rtol=1e-12)
 
 
-def test_a_known_healthy_part_has_no_error_at_best():
-    found = range_limited(np.zeros(2), np.array([1.0, 1.7]), 0.5, 2.0)
-    np.testing.assert_allclose(found, 0, atol=1e-9)
-
-
-def test_range_does_not_matter_far_from_its_edges():
-    bounds = np.array([0.001, 0.05, 0.1])
-    found = range_limited(bounds, np.array([0.6, 1.0, 1.25]), 0.5, 2.0)
-    np.testing.assert_allclose(found, bounds, rtol=1e-5)
-    # on an edge the mean is biased as much as it is steadied: E[(e + phi / Phi)^2] = 1
-    edges = range_limited(np.array([0.02, 0.02]), np.array([0.5, 2.0]), 0.5, 2.0)
-    np.testing.assert_allclose(edges, 0.02, rtol=1e-6)
-
-
-@pytest.mark.parametrize("bound", [1e3, 1e6, 1e12, math.inf])
-def test_without_information_the_range_is_all_that_is_known(bound):
-    ratios = np.linspace(0.5, 2.0, 1001)
-    found = range_limited(np.full(1001, bound), ratios, 0.5, 2.0)
-    # the best estimate is then always the middle
-    np.testing.assert_allclose(found, np.abs(ratios - 1.25), atol=1e-3)
-    assert math.sqrt(np.mean(found**2)) == pytest.approx(1.5 / math.sqrt(12), rel=2e-3)
-
-
 def test_matrix_that_is_not_finite_has_no_bounds_and_harms_no_other():
     information = np.array([np.diag([4.0, 100.0])] * 4)
     information[1, 0, 1] = math.nan
@@ -441,13 +288,6 @@ def test_parameter_without_any_information_has_no_bound(quarter_car):
     bounds = cramer_rao(information)[0]
     assert np.isinf(bounds[0])
     np.testing.assert_allclose(bounds[1:], cramer_rao(seen)[0], rtol=1e-9)
-
-
-def test_ambiguity_has_a_limit_for_the_mass_too(task, quarter_car):
-    problem = task("own_curve", "secondary", estimate_mass=True)
-    found, _ = best(quarter_car, problem)
-    assert set(found) == {"k_s", "c_s", "M_s"}
-    assert found["M_s"]["mape_percent"] == found["k_s"]["mape_percent"]
 
 
 def test_output_bounds_are_infinite_where_nothing_can_be_told(task, quarter_car):

@@ -12,49 +12,33 @@ from trips_reference import pitching_numbers, pitching_transfer
 from vehicles import AM96
 
 from suspnet.bounds.information import cramer_rao, fisher_information
-from suspnet.bounds.sensor_information import (
-    ROWS,
-    place_channels,
-    recording_information,
-    sensor_places,
-)
+from suspnet.bounds.sensor_information import ROWS, recording_information
 from suspnet.curves.estimates import EstimateSettings
 from suspnet.vehicle import PARAMETERS, QuarterCar, VerticalVehicle
-from suspnet.vehicle.quantities import UNMEASURED
 
 DEGRADED = np.array([0.8, 1.4, 1.2, 0.9, 1.1])
 SPEED = 70.0
-SETTINGS = EstimateSettings(snr_db=30.0, minutes=10.0, cache_dir=None).bound(AM96)
+SETTINGS = EstimateSettings(snr_db=30.0, minutes=10.0).bound(AM96)
 QUARTER_CAR, PITCHING = QuarterCar(AM96), VerticalVehicle(AM96, speed_m_per_s=SPEED)
 THREE = [1, 1, 1]
-ON_BODY = (2, 4)
+ON_BODY = (2,)
 """Places of sensors on the body, which are used up to `body_high_hz`."""
 
 
 def observer(generator, **changes):
     """Return a source of estimates on eleven bins about the bogie's resonance."""
-    options = {"snr_db": 30.0, "minutes": 10.0, "low_hz": 1.5, "high_hz": 2.0, "cache_dir": None}
+    options = {"snr_db": 30.0, "minutes": 10.0, "low_hz": 1.5, "high_hz": 2.0}
     return EstimateSettings(**(options | changes)).observer(generator)
 
 
 def responses(generator, ratios, frequency_hz):
-    """Return the response from the axle box to each place, written once more.
-
-    Three places, any shape of frequencies; or six, one frequency.
-    """
+    """Return the response from the axle box to each place, written once more."""
     if isinstance(generator, QuarterCar):
         primary, secondary = reference.transfer(AM96, ratios, frequency_hz)
         return np.array([np.ones_like(primary), primary, primary * secondary])
     numbers = pitching_numbers(AM96, ratios, SPEED)
     own = pitching_transfer(numbers, frequency_hz)
-    other = pitching_transfer(
-        numbers,
-        frequency_hz,
-        frame_sensor="centre",
-        body_sensor_m=-2 * AM96.half_pivot_distance_m,
-    )
-    delay = np.exp(-2j * math.pi * frequency_hz * 2 * AM96.half_wheelbase_m / SPEED)
-    return np.array([1, own[0], own[0] * own[1], other[0], other[0] * other[1], delay])
+    return np.array([1, own[0], own[0] * own[1]])
 
 
 @cache
@@ -163,25 +147,13 @@ def test_information_of_three_sensors_equals_naive_matrices(parameters, count):
     assert_alike(found, by_matrices(source, DEGRADED, parameters, noise, np.array(count)), 1e-6)
 
 
-@pytest.mark.slow  # three of them by default
-def test_information_of_six_sensors_equals_naive_matrices():
-    source = observer(PITCHING)
-    noise = noise_densities(source, (5000, 2000, 2000, 2000, 2000, 5000))
-    counts = [[1, 1, 1, 1, 0, 0], [1, 1, 1, 0, 1, 0], [1, 1, 1, 0, 0, 1], [1, 1, 1, 1, 1, 2]]
-    found = recording_information(source, DEGRADED[None], PARAMETERS, counts)
-    assert found.shape == (4, 1, 5, 5)
-    for matrix, count in zip(found[:, 0], counts, strict=True):
-        expected = by_matrices(source, DEGRADED, PARAMETERS, noise, np.array(count))
-        assert_alike(matrix, expected, 1e-6)
-
-
 @pytest.mark.parametrize(
     "body_high_hz", [1.7, *(pytest.param(f, marks=pytest.mark.slow) for f in (1.4, 2.0))]
 )
 def test_sensors_on_the_body_tell_nothing_beyond_its_band(body_high_hz):
     source = observer(PITCHING, body_high_hz=body_high_hz)
-    noise = noise_densities(source, (5000, 2000, 2000, 2000, 2000, 5000))
-    counts = [[1, 1, 1, 0, 0, 0], [0, 1, 1, 2, 0, 0], [1, 0, 1, 0, 3, 0], [0, 0, 1, 0, 1, 0]]
+    noise = noise_densities(source, (5000, 2000, 2000))
+    counts = [[1, 1, 1], [0, 1, 3], [1, 0, 1], [2, 2, 1]]
     found = recording_information(source, DEGRADED[None], PARAMETERS, counts)[:, 0]
     every = recording_information(observer(PITCHING), DEGRADED[None], PARAMETERS, counts)[:, 0]
     for matrix, whole, count in zip(found, every, counts, strict=True):
@@ -274,7 +246,7 @@ def test_information_with_cross_level_and_uncertain_numbers_equals_naive_matrice
     joint = naive_joint_information(source, rows, np.array(noise), used)
     joint[5:, 5:] += np.eye(3)
     expected = np.linalg.inv(np.linalg.inv(joint)[:5, :5])
-    counts = [[int(place in used) for place in range(6)]]
+    counts = [[int(place in used) for place in range(3)]]
     found = recording_information(source, DEGRADED[None], PARAMETERS, counts)[0, 0]
     assert_alike(found, expected, 1e-6)
     certain = observer(replace(rolling, distribution=None), body_high_hz=body_high_hz)
@@ -282,27 +254,12 @@ def test_information_with_cross_level_and_uncertain_numbers_equals_naive_matrice
     assert (np.diag(more) > 1.001 * np.diag(found)).any()
 
 
-def test_places_are_those_of_the_other_bogie_and_axle():
-    """The same vehicle seen from its other bogie and its other axle box, a delay apart."""
-    bins = SETTINGS.frequencies_hz()
-    ratios = torch.as_tensor(DEGRADED[None])
-    leading = VerticalVehicle(AM96, other_bogie="same")
-    found = place_channels(leading, ratios, bins)[0, 0]
-    trailing = VerticalVehicle(AM96, other_bogie="same", bogie="trailing")
-    pivots = torch.exp(-2j * math.pi * bins * 2 * AM96.half_pivot_distance_m / SPEED)
-    body = place_channels(trailing, ratios, bins)[0, 0, 2] * pivots
-    torch.testing.assert_close(found[4], body, rtol=1e-9, atol=1e-12)
-    behind = VerticalVehicle(AM96, other_bogie="same", axle="trailing")
-    frame = leading.responses(ratios, bins)[0][0], behind.responses(ratios, bins)[0][0]
-    torch.testing.assert_close(found[3], (frame[0] + frame[1] * found[5]) / 2, rtol=1e-9, atol=0)
-
-
 # limit
 
 
 def test_cross_level_of_next_to_nothing_leaves_the_information_of_one_input():
     ratios = np.stack([np.ones(5), DEGRADED])
-    counts = [[1, 1, 1, 0, 0, 0], [1, 1, 0, 0, 0, 0], [2, 1, 1, 0, 0, 1]]
+    counts = [[1, 1, 1], [1, 1, 0], [3, 1, 1]]
     lateral = {"parts": ("roll",), "nominal": {"cross_level": 1e-14}}
     rolling = VerticalVehicle(AM96, sensor_lateral_m=(1.0, 1.0, 1.0), **lateral)
     assert rolling.channels(torch.ones(1, 5), torch.ones(1)).shape[1] == 2
@@ -319,10 +276,9 @@ def test_cross_level_of_next_to_nothing_leaves_the_information_of_one_input():
 )
 @pytest.mark.parametrize("generator", [QUARTER_CAR, PITCHING], ids=["quarter_car", "pitching"])
 def test_recordings_hold_at_least_what_their_iv_estimate_tells(generator, snr_db):
-    source = EstimateSettings(snr_db=snr_db, cache_dir=None).bound(AM96).observer(generator)
+    source = EstimateSettings(snr_db=snr_db).bound(AM96).observer(generator)
     ratios = np.random.default_rng(1).uniform(0.6, 1.6, (6, 5))
-    count = np.arange(len(sensor_places(generator))) < 3
-    recordings = recording_information(source, ratios, PARAMETERS, [count])[0]
+    recordings = recording_information(source, ratios, PARAMETERS, [THREE])[0]
     estimates = fisher_information(source, ratios, PARAMETERS)
     for whole, part in zip(recordings, estimates, strict=True):
         size = np.sqrt(np.outer(np.diag(whole), np.diag(whole)))
@@ -339,11 +295,10 @@ def test_without_leakage_the_iv_estimate_loses_nothing(generator, snr_db, high_h
     Where the body hardly moves, at 20 Hz, it is an instrument of nothing in noise of 34 dB.
     """
     welch = {"window": "boxcar", "overlap": 0.0}
-    source = EstimateSettings(minutes=60.0, snr_db=snr_db, high_hz=high_hz, cache_dir=None, **welch)
+    source = EstimateSettings(minutes=60.0, snr_db=snr_db, high_hz=high_hz, **welch)
     source = source.bound(AM96).observer(generator)
     assert bool(source.beyond.any()) == (high_hz is None)
-    count = np.arange(len(sensor_places(generator))) < 3
-    recordings = cramer_rao(recording_information(source, DEGRADED[None], PARAMETERS, [count])[0])
+    recordings = cramer_rao(recording_information(source, DEGRADED[None], PARAMETERS, [THREE])[0])
     estimates = cramer_rao(fisher_information(source, DEGRADED[None], PARAMETERS))
     assert (recordings > 1e-6).all()
     # what is left is of the order of the noise relative to the signal in a bin
@@ -370,22 +325,11 @@ def test_one_sensor_alone_tells_nothing():
         assert (found == 0).all()
 
 
-def test_second_axle_box_is_a_second_sensor_on_the_first():
-    """A pure delay: it adds no parameter, and the noise of both averages."""
-    source = SETTINGS.observer(PITCHING)
-    counts = [[1, 1, 1, 0, 0, 1], [2, 1, 1, 0, 0, 0], [1, 1, 1, 0, 0, 0]]
-    found = recording_information(source, DEGRADED[None], PARAMETERS, counts)
-    assert_alike(found[0, 0], found[1, 0], 1e-9)
-    assert (cramer_rao(found[0]) < 0.999 * cramer_rao(found[2])).all()
-
-
 # property
 
 
 def test_two_sensors_at_each_place_halve_the_noise():
-    quiet = EstimateSettings(snr_db=30.0 + 10 * math.log10(2), minutes=10.0, cache_dir=None).bound(
-        AM96
-    )
+    quiet = EstimateSettings(snr_db=30.0 + 10 * math.log10(2), minutes=10.0).bound(AM96)
     twice = recording_information(
         SETTINGS.observer(QUARTER_CAR), DEGRADED[None], PARAMETERS, [[2, 2, 2]]
     )
@@ -395,7 +339,7 @@ def test_two_sensors_at_each_place_halve_the_noise():
 
 def test_one_more_sensor_never_hurts():
     source = SETTINGS.observer(PITCHING)
-    counts = np.vstack([np.arange(6) < 3, (np.arange(6) < 3) + np.eye(6)])
+    counts = np.vstack([THREE, THREE + np.eye(3)])
     less, *more = recording_information(source, DEGRADED[None], PARAMETERS, counts)
     size = np.sqrt(np.outer(np.diag(less[0]), np.diag(less[0])))
     for found in more:
@@ -429,75 +373,12 @@ def test_information_hardly_depends_on_how_the_recording_is_cut(welch):
 def test_information_of_many_vehicles_equals_one_by_one():
     source = observer(PITCHING)
     ratios = np.random.default_rng(0).uniform(0.7, 1.4, (ROWS + 3, 5))
-    counts = [[1, 1, 1, 0, 0, 0], [1, 1, 1, 1, 1, 1]]
+    counts = [[1, 1, 1], [2, 1, 2]]
     together = recording_information(source, ratios, ("k_s", "M_s"), counts)
     assert together.shape == (2, ROWS + 3, 2, 2)
     for row in (0, ROWS - 1, ROWS, ROWS + 2):
         alone = recording_information(source, ratios[row : row + 1], ("k_s", "M_s"), counts)
         np.testing.assert_allclose(together[:, row], alone[:, 0], rtol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("changes", "further"),
-    [
-        ({}, ("frame centre", "body above the other bogie", "second axle box")),
-        (
-            {"frame_sensor": "centre", "body_sensor_m": -19.0},
-            ("frame above the axle", "body above the measured bogie", "second axle box"),
-        ),
-        (
-            {"bogie": "trailing", "body_sensor_m": 19.0},
-            ("frame centre", "body above the measured bogie", "second axle box"),
-        ),
-    ],
-)
-def test_further_places_are_those_a_vehicle_does_not_have(changes, further):
-    own = VerticalVehicle(AM96, **changes)
-    assert sensor_places(own) == ("axle box", "bogie", "body", *further)
-    elsewhere = replace(
-        own,
-        frame_sensor="axle" if own.frame_sensor == "centre" else "centre",
-        body_sensor_m={0.0: -19.0, -19.0: 0.0, 19.0: 0.0}[own.body_sensor_m],
-    )
-    bins, ratios = SETTINGS.frequencies_hz(), torch.as_tensor(DEGRADED[None])
-    found = own.further_channels(ratios, bins)[:, 0]
-    frame, to_body = elsewhere.responses(ratios, bins)
-    torch.testing.assert_close(found[:, 0], frame)
-    torch.testing.assert_close(found[:, 1], frame * to_body)
-
-
-def test_second_axle_box_leads_where_the_trailing_one_is_measured():
-    bins, ratios = SETTINGS.frequencies_hz(), torch.ones(1, 5, dtype=torch.float64)
-    delayed = place_channels(VerticalVehicle(AM96), ratios, bins)[0, 0, 5]
-    ahead = place_channels(VerticalVehicle(AM96, axle="trailing"), ratios, bins)[0, 0, 5]
-    torch.testing.assert_close(ahead, delayed.conj(), rtol=1e-12, atol=1e-12)
-    assert 0 < float(ahead[0].angle()) < 1
-
-
-@pytest.mark.parametrize("axle", ["leading", "trailing"])
-def test_second_axle_box_is_the_one_that_is_measured_there(axle):
-    options = {"parts": ("wheelsets", "axle_box_arm"), "direction": "reverse"}
-    other = {"leading": "trailing", "trailing": "leading"}[axle]
-    mine, its = (VerticalVehicle(AM96, axle=one, **options) for one in (axle, other))
-    bins = SETTINGS.frequencies_hz()
-    row = mine.complete(torch.as_tensor(DEGRADED[None]))
-    for name, value in (("wheelset_share", 3.0), ("arm_share", 0.2)):
-        row[0, 5 + UNMEASURED.index(name)] = value
-    second = place_channels(mine, row, bins)[0, :, 5]
-    there = its.channels(row, bins)[0, :, 0]
-    torch.testing.assert_close(second.abs(), there.abs())
-    torch.testing.assert_close(second[1:], there[1:])  # of single wheelsets: no delay
-    late = second[0] / there[0]
-    sign = 1 if axle == "trailing" else -1  # in reverse the trailing axle runs ahead
-    delay = 2 * AM96.half_wheelbase_m / mine.speed_m_per_s
-    expected = torch.exp(-1j * sign * 2 * np.pi * delay * bins)
-    torch.testing.assert_close(late, expected)
-
-
-def test_quarter_car_has_three_places():
-    assert sensor_places(QUARTER_CAR) == ("axle box", "bogie", "body")
-    responses = place_channels(QUARTER_CAR, torch.ones(2, 5), SETTINGS.frequencies_hz())
-    assert responses.shape == (2, 1, 3, len(SETTINGS.frequencies_hz()))
 
 
 # failure

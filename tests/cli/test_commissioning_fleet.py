@@ -205,13 +205,6 @@ def test_mistakes_of_all_are_one_line_and_leave_nothing(overrides, words, fleet,
     assert list((tmp_path / "run").iterdir()) == []
 
 
-def test_processes_of_torchrun_are_refused(fleet, tmp_path, monkeypatch):
-    monkeypatch.setattr(train.ranks, "start", lambda _: None)
-    monkeypatch.setenv("WORLD_SIZE", "2")
-    said = trained(tmp_path / "run", fleet)
-    assert "cannot be spread by torchrun" in said
-
-
 def test_log_of_a_run_leaves_the_logger_as_it_was(tmp_path):
     logger = logging.getLogger("suspnet")
     before = logger.level, logger.propagate, list(logger.handlers)

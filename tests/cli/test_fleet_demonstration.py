@@ -14,7 +14,7 @@ from suspnet.trains.trips.commissionings import place_of
 
 CHEAP = [
     *("data.segment_s=10", "data.n_train=2000", "data.n_test=100", "data.n_calibrate=100"),
-    *("data.cache_dir=null", "figures=false"),
+    *("figures=false"),
 ]
 
 

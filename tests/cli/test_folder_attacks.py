@@ -18,7 +18,7 @@ from suspnet.cli import check, evaluate, history, replay, simulate, train
 from suspnet.ground import ledger
 
 TRAIN = ["model=linear", "data.n_calibrate=null"]
-TRAIN += [one for one in SMALL if not one.startswith(("data.n_calibrate", "data.cache_dir"))]
+TRAIN += [one for one in SMALL if not one.startswith("data.n_calibrate")]
 SIMULATE = ["fleet.n_trips=1", "fleet.minutes=2", "progress=false"]
 EVALUATE = ["run=no_run", "trips=no_trips"]
 REPLAY = ["trips=no_trips", "sink=folder"]

@@ -96,7 +96,7 @@ def test_installed_programs_work_from_an_empty_folder(program, tmp_path):
         assert name.replace("-", " ") in printed
         assert "Keys, set as KEY=VALUE" in printed
     assert not list(tmp_path.iterdir())
-    program("suspnet-train", *TINY, "threads=1", "data.cache_dir=null", cwd=tmp_path)
+    program("suspnet-train", *TINY, "threads=1", cwd=tmp_path)
     (run,) = (tmp_path / "outputs" / "train").iterdir()
     assert "MAPE %" in (run / "train.log").read_text()
     printed = program("suspnet-evaluate", f"run={run}", "data.n_test=50", cwd=tmp_path)

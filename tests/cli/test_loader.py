@@ -27,7 +27,7 @@ NO_HOST = "name the broker's host yourself"
 SETTINGS = {
     NOT_SET: [
         # what is written, removed or read elsewhere
-        "data: {cache_dir: deep}",
+        "out: deep",
         "healthy: HOME",
         "source: {then: delete}",
         # who is reached, and who may do what
@@ -191,11 +191,6 @@ SCENARIO = "defaults: [healthy]\nname: mine\nchanges: {k_p: {from_km: 1, to_km: 
 USES = {
     # file, its text, program, the rest of the command, and what is then configured
     "vehicle": ("vehicle/mine", VEHICLE, train, ("vehicle=mine",), "  bogie_mass_kg: 1725.0"),
-    "of a study": (
-        *("vehicle/mine", VEHICLE, evaluate),
-        ("study=identifiability", "vehicle=mine"),
-        "  name: am96",
-    ),
     "best": ("experiment/best", BEST, train, ("experiment=best",), "      epsilon: 1.0e-06"),
     "experiment": ("experiment/mine", EXPERIMENT, train, ("experiment=mine",), "  n_train: 77"),
     "scenario": ("scenario/mine", SCENARIO, simulate, ("scenario=mine",), "      ratio: 0.5"),
@@ -244,11 +239,9 @@ def test_no_key_of_a_path_may_be_set_but_that_of_authorities():
             if re.search(r"\[[^\]]*\b(path|URL|file)\b", sentence):
                 paths.add(key.removeprefix("base."))
     allowed = {key for key in paths if any(f"{key}.".startswith(f"{one}.") for one in ALLOWED)}
-    assert {"resume", "store", "data.cache_dir", "sink.folder", "ca_file"} <= paths
+    assert {"resume", "store", "sink.folder", "ca_file"} <= paths
     assert allowed == set()
-    assert {key for key in ALLOWED if key.startswith("data.")} == data - {"data.cache_dir"} | {
-        "data.kind"
-    }
+    assert {key for key in ALLOWED if key.startswith("data.")} == data | {"data.kind"}
 
 
 @pytest.mark.parametrize("kind", ["pipe", "endless"])

@@ -39,7 +39,6 @@ def folder(program, *overrides, key="run"):
         ),
         ("evaluate", ["run=outputs/train/x", "trips=trips/worn"], ("evaluate", "_trips_worn")),
         ("evaluate", ["run=x", "seed=3"], ("evaluate", "_seed_3")),
-        ("evaluate", ["study=identifiability", "vehicle=ice3"], ("identifiability", "_ice3")),
         ("simulate", ["scenario=random", "out=here"], ("simulate", "_random")),
     ],
 )

@@ -38,7 +38,7 @@ import suspnet
 suspnet.register_method("kernel_ridge", KernelRidge, "kernel ridge")
 suspnet.register_features(Levels)
 """
-SETTINGS = CurveSettings(200, 100, None, cache_dir=None)
+SETTINGS = CurveSettings(200, 100, None)
 TINY = ("data.n_train=200", "data.n_test=100", "data.n_calibrate=null", "figures=false")
 
 
@@ -299,18 +299,3 @@ def test_configuration_names_no_module(tmp_path):
     assert ended.returncode == 1
     assert "`model.kind` must be one of" in ended.stderr
     assert not (tmp_path / "ran").exists()
-
-
-def test_cache_of_features_depends_on_the_users_code(quarter_car, task, tmp_path):
-
-    described = []
-    for half_width in ("0.1", "0.2"):
-        code = MODULE.replace("half_width_hz: float = 0.1", f"half_width_hz: float = {half_width}")
-        path = tmp_path / f"with_{half_width[-1]}.py"
-        path.write_text(code)
-        plugins.load_plugins([str(path)])
-        features = FEATURE_SETS["levels"](half_width_hz=0.1)
-        problem = Problem(quarter_car, replace(task(), extractor=features), SETTINGS)
-        described.append(problem.describe(0))
-    assert described[0]["task"] == described[1]["task"]
-    assert described[0]["own_features"] != described[1]["own_features"]

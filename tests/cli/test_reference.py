@@ -26,7 +26,7 @@ CHOSEN = [
     ("train", "model=msvr_table5"),
     ("train", "search=widened"),
     *(("train", f"experiment={name}") for name in ("trips", "tube", "fair")),
-    ("evaluate", "study=identifiability"),
+    ("evaluate", "study=maintenance"),
     ("simulate", "scenario=random"),
     ("replay", "sink=mqtt"),
 ]
@@ -62,7 +62,7 @@ def test_help_tells_every_group_and_option_of_the_program(name):
             *("vehicle", "generator", "data", "protocol"),
             *("model", "search", "experiment", "reading"),
         },
-        "evaluate": {"protocol", "study"},
+        "evaluate": {"study"},
         "simulate": {"vehicle", "generator", "scenario"},
         "replay": {"sink"},
     }[name]

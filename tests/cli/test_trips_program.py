@@ -43,7 +43,7 @@ SIMULATE = [*SHORT, "generator=best", "scatter=0"]
 TRAIN = [
     *("experiment=trips", "data.n_train=400", "data.n_test=60", "data.minutes=5"),
     "data.n_calibrate=100",
-    *("data.rates_hz=[400,250,250]", "data.cache_dir=null", "progress=false", "threads=1"),
+    *("data.rates_hz=[400,250,250]", "progress=false", "threads=1"),
     *("model.feature_map=nystroem", "model.n_components=512"),
 ]
 BAND = ["data.high_hz=9.9", "data.body_high_hz=9.0"]

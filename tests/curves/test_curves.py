@@ -1,7 +1,6 @@
 """Noisy training curves: noise of the stated size, reproducible blocks, a cache to lose."""
 
 import dataclasses
-import logging
 import math
 import sys
 
@@ -13,10 +12,8 @@ from suspnet.curves.components import FLOOR
 from suspnet.curves.curves import CurveSettings, add_noise, noise_rms
 from suspnet.curves.extraction import PeakFeatures
 from suspnet.curves.problem import BLOCK, CALIBRATE, TEST, TRAIN, FeatureData, Problem
-from suspnet.ground.storage import dump_arrays, read_arrays
-from suspnet.vehicle import QuarterCar
 
-SMALL = CurveSettings(n_train=300, n_test=40, n_calibrate=150, cache_dir=None)
+SMALL = CurveSettings(n_train=300, n_test=40, n_calibrate=150)
 
 
 @pytest.fixture
@@ -172,69 +169,6 @@ def test_progress_bar_counts_curves_on_a_terminal(source, capsys, monkeypatch, s
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     source(progress=True).features(stream)
     assert f"multi_location/primary {name} curves: 100%" in capsys.readouterr().err
-
-
-# the cache
-
-
-@pytest.fixture
-def cached(tmp_path):
-    return CurveSettings(n_train=12, n_test=8, n_calibrate=100, cache_dir=str(tmp_path / "cache"))
-
-
-def test_second_call_reads_the_cache(source, cached, monkeypatch):
-    first = source(cached).features(TEST)
-
-    def fail(*args):
-        raise AssertionError("curves were made again")
-
-    monkeypatch.setattr(Problem, "curves", fail)
-    assert_same(source(cached, threads=2, progress=True).features(TEST), first)
-
-
-@pytest.mark.parametrize("kind", ["truncated", "empty", "foreign", "other arrays"])
-def test_damaged_cache_is_reported_ignored_and_rewritten(source, cached, tmp_path, caplog, kind):
-    first = source(cached).features(TEST)
-    (path,) = (tmp_path / "cache").iterdir()
-    whole = path.read_bytes()
-    damaged = {
-        "truncated": whole[: len(whole) // 2],
-        "empty": b"",
-        "foreign": b"PK\x03\x04" * 50,
-        "other arrays": dump_arrays({"weights": np.ones(3)}),
-    }
-    path.write_bytes(damaged[kind])
-    with caplog.at_level(logging.WARNING):
-        assert_same(source(cached).features(TEST), first)
-    assert "ignoring a damaged cache file" in caplog.text
-    assert path.read_bytes() == whole
-    assert read_arrays(path).keys() == {"inputs", "outputs", "ratios", "reasons"}
-
-
-def test_cache_name_changes_with_whatever_the_features_depend_on(
-    source, cached, tmp_path, task, am96
-):
-    variants = [
-        source(cached),
-        source(cached, seed=1),
-        source(dataclasses.replace(cached, snr_db=30.0)),
-        source(dataclasses.replace(cached, n_test=9)),
-        source(dataclasses.replace(cached, high_hz=18.0)),
-        source(cached, task(group="secondary")),
-        source(cached, task(mass_known=True)),
-        source(cached, task(features={"shape": "lorentzian", "smoothing_hz": 0.4})),
-        source(cached, task(lower=0.6)),
-        Problem(QuarterCar(am96.degraded(k_p=1.001)), task(), cached),
-    ]
-    tables = []
-    for number, variant in enumerate(variants, start=1):
-        tables.append(variant.features(TEST).inputs)
-        assert len(list((tmp_path / "cache").iterdir())) == number
-    for table in tables[1:]:
-        assert not np.array_equal(table, tables[0])
-    for more, stream in enumerate((TRAIN, CALIBRATE), start=1):
-        variants[0].features(stream)
-        assert len(list((tmp_path / "cache").iterdir())) == len(variants) + more
 
 
 # failure

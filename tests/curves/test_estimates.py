@@ -27,7 +27,6 @@ SETTINGS = EstimateSettings(
     rates_hz=(RATE_HZ,) * 3,
     snr_db=20.0,
     high_hz=9.9,  # well below the Nyquist frequency; G_s is used on all bins
-    cache_dir=None,
 ).bound(AM96)
 DEGRADED = (0.8, 1.6, 1.2, 0.8, 1.1)
 RATIOS = torch.tensor([DEGRADED], dtype=torch.float64)

@@ -15,8 +15,8 @@ from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.expected_spectra import EstimateMisfit
 from suspnet.vehicle import PARAMETERS, QuarterCar, VerticalVehicle
 
-CURVES = CurveSettings(snr_db=30.0, low_hz=0.3, high_hz=12.0, step_hz=0.1, cache_dir=None)
-TRIPS = EstimateSettings(snr_db=30.0, minutes=10.0, high_hz=9.9, cache_dir=None).bound(AM96)
+CURVES = CurveSettings(snr_db=30.0, low_hz=0.3, high_hz=12.0, step_hz=0.1)
+TRIPS = EstimateSettings(snr_db=30.0, minutes=10.0, high_hz=9.9).bound(AM96)
 QUARTER_CAR, PITCHING = QuarterCar(AM96), VerticalVehicle(AM96)
 HANN = 1 + 2 * (4 / 9 + 1 / 36)
 """r of a Hann window: neighbours correlate by 4/9, next ones by 1/36."""

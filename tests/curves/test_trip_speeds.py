@@ -32,7 +32,7 @@ def model():
 
 
 def settings_at(speed, **changes):
-    return EstimateSettings(speed_m_per_s=speed, cache_dir=None, **changes).bound(AM96)
+    return EstimateSettings(speed_m_per_s=speed, **changes).bound(AM96)
 
 
 def observer_at(speed, **changes):
@@ -51,7 +51,7 @@ def test_observer_at_another_speed_is_that_of_a_generator_at_it():
     # the noise stays that of the speed trained for
     found = observer_at(70.0).at(Speeds.of(66.0, 0.0))
     other = observer_at(66.0)
-    other._noise = found._noise
+    other.noise = found.noise
     expected = other.expected(worn(3))
     actual = found.expected(worn(3))
     torch.testing.assert_close(actual.auto, expected.auto, rtol=1e-9, atol=0)
@@ -61,7 +61,7 @@ def test_observer_at_another_speed_is_that_of_a_generator_at_it():
 def test_spectra_of_several_speeds_are_their_weighted_mean():
     speeds = Speeds.of(70.0, 0.7)
     observer = observer_at(70.0)
-    noise = observer._noise[:, None]
+    noise = observer.noise[:, None]
     parts = [observer.at(Speeds((v,), (1.0,))).expected(worn(2)) for v in speeds.m_per_s]
     found = observer.at(speeds).expected(worn(2))
     autos = [w * (part.auto - noise) for w, part in zip(speeds.weights, parts, strict=True)]

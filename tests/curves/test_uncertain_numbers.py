@@ -17,7 +17,7 @@ from suspnet.vehicle import PARAMETERS, QuarterCar, VerticalVehicle
 from suspnet.vehicle.quantities import QUANTITIES, LogNormal
 
 PARTS = ("bushings", "rubber", "guidance")
-SETTINGS = EstimateSettings(snr_db=34.0, minutes=10.0, cache_dir=None).bound(AM96)
+SETTINGS = EstimateSettings(snr_db=34.0, minutes=10.0).bound(AM96)
 
 
 def narrow(scale, correlation=0.5):

@@ -58,10 +58,10 @@ ARRAY_NONSENSE = {
 def model_of(name):
     """Return a small calibrated model."""
     if name == "trips":
-        settings = EstimateSettings(400, 50, 150, cache_dir=None, **BAND)
+        settings = EstimateSettings(400, 50, 150, **BAND)
         generator, task = VerticalVehicle(AM96), shipped_protocol("trips").task("all")
     else:
-        settings = CurveSettings(400, 50, 150, step_hz=0.05, cache_dir=None)
+        settings = CurveSettings(400, 50, 150, step_hz=0.05)
         generator, task = QuarterCar(AM96), shipped_protocol("multi_location").task("primary")
     problem = Problem(generator, task, settings, progress=False)
     return calibrated(problem, fit(problem, METHODS[name](), NoLog()))
@@ -154,7 +154,6 @@ def outcome(folder, curves, estimate):
     except ValueError as error:  # another model, which these curves do not fit
         return "refused when used" if "\n" not in str(error) else f"many lines: {error}"
     assert np.isfinite(found.values).all() or all(found.flags.reasons), "NaN and not flagged"
-    assert model.settings.cache_dir in (None, ".cache/suspnet")
     same = found.values.shape == estimate.values.shape and np.allclose(
         found.values, estimate.values, rtol=1e-9, atol=0
     )
@@ -234,13 +233,6 @@ def test_deep_json_is_refused(folders, tmp_path):
     (tmp_path / "model.json").write_text('{"a":' * 100_000 + "1" + "}" * 100_000)
     with pytest.raises(ModelFileError, match="is nested too deeply"):
         load_model(tmp_path)
-
-
-def test_a_model_names_no_folder_to_write_to(folders, tmp_path):
-    content, arrays = read_files(folders("linear"))
-    content["settings"]["cache_dir"] = str(tmp_path / "elsewhere")
-    forge(tmp_path / "run", content, arrays)
-    assert load_model(tmp_path / "run").settings.cache_dir is None
 
 
 def read_files(folder):

@@ -282,9 +282,9 @@ def test_flags_without_a_kind_keep_the_order_of_the_others():
 
 def test_few_curves_like_the_training_curves_are_flagged(problem):
     """What is learnt from some vehicles' curves holds for others'."""
-    observer = CurveSettings(
-        snr_db=34.0, low_hz=0.3, high_hz=15.0, step_hz=0.1, cache_dir=None
-    ).observer(QuarterCar(AM96))
+    observer = CurveSettings(snr_db=34.0, low_hz=0.3, high_hz=15.0, step_hz=0.1).observer(
+        QuarterCar(AM96)
+    )
 
     def some(n, seed):
         ratios = problem.sample(n, seed, TEST)

@@ -20,9 +20,9 @@ from suspnet.estimation.refine import BEYOND, Refined, refine
 from suspnet.vehicle import PARAMETERS, QuarterCar, VerticalVehicle
 
 SNR_DB = 34.0
-SETTINGS = CurveSettings(snr_db=SNR_DB, low_hz=0.3, high_hz=15.0, step_hz=0.05, cache_dir=None)
+SETTINGS = CurveSettings(snr_db=SNR_DB, low_hz=0.3, high_hz=15.0, step_hz=0.05)
 OBSERVER = SETTINGS.observer(QuarterCar(AM96))
-TRIPS = EstimateSettings(snr_db=34.0, minutes=10.0, cache_dir=None).bound(AM96)
+TRIPS = EstimateSettings(snr_db=34.0, minutes=10.0).bound(AM96)
 WITH_MASS = {"estimate_mass": True}
 
 

@@ -26,7 +26,7 @@ from suspnet.vehicle.quantities import MASS_DEVIATION, MASS_MEAN
 
 PARTS = ("bushings", "sensors", "frame_sway", "frame_yaw", "body_yaw")
 GENERATOR = SpatialVehicle(AM96, parts=PARTS)
-SETTINGS = EstimateSettings(cache_dir=None)
+SETTINGS = EstimateSettings()
 SEVEN, NO_BOX = "seven: 4 axle boxes, 2 frame corners, 1 body", "four: no axle box"
 SIX, NO_BODY = "six: pairs, frame above the axle", "four: no body"
 NOISE = {"axle_box": 4e-3, "frame": 5e-6, "body": 2e-7}

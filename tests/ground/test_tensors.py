@@ -42,12 +42,10 @@ def test_generators_take_arrays(generator):
     np.testing.assert_array_equal(system.stiffness, same.stiffness)
 
 
-def test_vertical_vehicle_samples_and_sees_further_from_arrays():
+def test_vertical_vehicle_samples_from_arrays():
     vehicle = VerticalVehicle(AM96, distribution={"speed": 0.1})
     sampled = vehicle.sample_unmeasured(RATIOS, 1)
     assert torch.equal(sampled, vehicle.sample_unmeasured(torch.tensor(RATIOS), 1))
-    expected = vehicle.further_channels(sampled, torch.tensor(BINS_HZ))
-    assert torch.equal(vehicle.further_channels(sampled.numpy(), BINS_HZ), expected)
 
 
 def test_findpeaks_takes_arrays():

@@ -27,7 +27,7 @@ from suspnet.trains.recordings.reader_process import in_own_process
 from suspnet.trains.recordings.recording import load_recording
 from suspnet.vehicle import VerticalVehicle
 
-SETTINGS = EstimateSettings(rates_hz=RATES_HZ, cache_dir=None).bound(AM96)
+SETTINGS = EstimateSettings(rates_hz=RATES_HZ).bound(AM96)
 NAMES = ["first", "second", "third"]
 
 

@@ -20,7 +20,7 @@ from suspnet.trains.identification.healthy_trips import read_healthy
 from suspnet.trains.jobs.check import CheckSettings, check_trip
 from suspnet.trains.sensors.swapped_sensors import elsewhere
 
-SETTINGS = EstimateSettings(minutes=10.0, cache_dir=None).bound(AM96)
+SETTINGS = EstimateSettings(minutes=10.0).bound(AM96)
 TTB2D = Path(__file__).parents[2].parent / "shared" / "ttb2d" / "healthy"
 needs_ttb2d = pytest.mark.skipif(not TTB2D.is_dir(), reason="no trips of TTB-2D here")
 CENTRE = "the frame's sensor looks to be at the frame's centre: misfit "
@@ -79,7 +79,7 @@ def test_trips_of_richer_trains_are_not_doubted(effects, side):
 @pytest.mark.parametrize("frame_sensor", ["axle", "centre"])
 def test_healthy_trips_of_a_foreign_train_name_the_place(frame_sensor):
     vehicle = read_vehicles()["manchester"]
-    settings = EstimateSettings(minutes=10.0, cache_dir=None).bound(vehicle)
+    settings = EstimateSettings(minutes=10.0).bound(vehicle)
     generator = VerticalVehicle(vehicle, frame_sensor=frame_sensor)
     found = read_healthy(TTB2D, generator, settings, TripSettings(), n_first=3)
     assert [one.direction for one in found.groups] == ["forward"] * 3  # not "in reverse"

@@ -31,7 +31,6 @@ ESTIMATORS = [
     MVGPR(n_restarts=0, n_optimize=100),
 ]
 MAPPED = [MSVR(feature_map=name, n_components=64) for name in ("orf", "nystroem", "exact")]
-MAPPED += [MSVR(dtype="float32", n_components=16, epsilon=0.0, tol=1e-3)]
 GRID = [MSVR(feature_map="equispaced")] if importlib.util.find_spec("finufft") else []
 
 
@@ -148,8 +147,7 @@ def test_prediction_in_chunks_is_the_whole(estimator, monkeypatch):
     for module in (baselines, msvr, mvgpr):
         monkeypatch.setattr(module, "PREDICT_ROWS", 7)
     # Products of other heights may round differently; whitening magnifies that.
-    atol = 1e-4 if getattr(model, "dtype", "") == "float32" else 1e-9
-    np.testing.assert_allclose(model.predict(X, **options), whole, atol=atol, rtol=0)
+    np.testing.assert_allclose(model.predict(X, **options), whole, atol=1e-9, rtol=0)
 
 
 @pytest.mark.parametrize("estimator", by_name([*ESTIMATORS, MAPPED[1]]))
@@ -206,10 +204,3 @@ def test_setting_out_of_range_is_named(method, setting, error):
     (name,) = setting
     with pytest.raises(error, match=f"`{name}` must be"):
         method(**setting).fit(X, Y)
-
-
-@pytest.mark.parametrize("name", ["nystroem", "exact"])
-def test_maps_without_single_precision_say_so(name):
-    X, Y = smooth_data(6, n_samples=20)
-    with pytest.raises(ValueError, match=f"feature_map='{name}' needs dtype='float64'"):
-        MSVR(feature_map=name, dtype="float32").fit(X, Y)

@@ -142,19 +142,6 @@ def test_intervals_cover_what_they_promise():
     assert 0.925 < np.mean(coverages) < 0.975
 
 
-def test_covariance_has_the_variances_on_its_diagonal(pair):
-    ours, _, _, X_test = pair
-    mean, std = ours.predict(X_test, return_std=True)
-    same_mean, cov = ours.predict(X_test, return_cov=True)
-    np.testing.assert_array_equal(same_mean, mean)
-    assert cov.shape == (40, 2, 2)
-    np.testing.assert_allclose(np.diagonal(cov, axis1=1, axis2=2), std**2, rtol=1e-12)
-    correlation = cov[:, 0, 1] / std.prod(axis=1)
-    omega = ours.omega_
-    expected = omega[0, 1] / np.sqrt(omega[0, 0] * omega[1, 1])
-    np.testing.assert_allclose(correlation, expected, rtol=1e-10)
-
-
 @pytest.mark.parametrize("factor", [0.01, 30.0])
 def test_kernel_factor_moves_into_omega(factor, pair):
     ours, _, _, X_test = pair

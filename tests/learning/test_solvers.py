@@ -91,16 +91,11 @@ SHARED = ("objective", "objectives", "gap", "n_iter", "support_fraction")
 """What solvers and estimators report alike."""
 
 
-def by_irwls(problem, design, share=1, **changes):
-    """Return what the solver finds on a design of equispaced modes.
-
-    `share` ranks hold the same samples, each counted with its share of the penalty.
-    """
+def by_irwls(problem, design, **changes):
+    """Return what the solver finds on a design of equispaced modes."""
     X, Y = map(torch.tensor, problem.data())
     modes = equispaced_fourier(X, problem.sigma, 1, 0)
-    summed = [lambda values: values.mul_(share)] if share > 1 else []
-    setting = problem.setting(C=problem.C / share, **changes)
-    found = IRWLS(**setting).minimise(design(modes, X, *summed), Y)
+    found = IRWLS(**problem.setting(**changes)).minimise(design(modes, X), Y)
     Phi = modes(X).numpy()
     return SimpleNamespace(
         features=Phi,
@@ -136,9 +131,7 @@ PENALISED_SOLVERS = {
     "fixed": (by_irwls, {"design": DenseDesign, "slow_decrease": math.inf, "max_iter": 100}),
     "newton": (by_irwls, {"design": DenseDesign, "slow_decrease": -1.0}),
     "as printed": (by_irwls, {"design": DenseDesign, "solver": "irwls"}),
-    "two ranks": (by_irwls, {"design": DenseDesign, "share": 2}),
     "Toeplitz": (by_irwls, {"design": EquispacedDesign}),
-    "two ranks, Toeplitz": (by_irwls, {"design": EquispacedDesign, "share": 2}),
     **{
         f"MSVR {name}": (by_estimator, {"feature_map": name})
         for name in ("rff", "orf", "nystroem", "exact", "equispaced")
@@ -146,7 +139,7 @@ PENALISED_SOLVERS = {
 }
 
 
-GRID = ("Toeplitz", "two ranks, Toeplitz", "MSVR equispaced")
+GRID = ("Toeplitz", "MSVR equispaced")
 """Solvers on a grid, which need finufft."""
 QUICK = ("ridge with intercept", "small tube", "wide kernel", "all within the tube")
 """Problems that every solver solves by default; the usual one and each path solve all."""

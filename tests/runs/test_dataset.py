@@ -12,7 +12,7 @@ from suspnet.curves.problem import TEST, TRAIN
 
 @pytest.fixture(scope="module")
 def problem(quarter_car, task):
-    settings = CurveSettings(150, 20, 100, cache_dir=None)
+    settings = CurveSettings(150, 20, 100)
     return Problem(quarter_car, task(), settings, seed=3)
 
 

@@ -88,7 +88,7 @@ def test_experiment_ends_with_the_page(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_a_multirun_of_table6_becomes_a_page_with_every_exhibit(tmp_path, quarter_car):
-    protocol, settings = read_protocol("paper"), CurveSettings(200, 100, None, cache_dir=None)
+    protocol, settings = read_protocol("paper"), CurveSettings(200, 100, None)
     runs = [
         train(
             Problem(quarter_car, protocol.task(group), settings),

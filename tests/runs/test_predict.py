@@ -23,7 +23,7 @@ from suspnet.runs.predict import calibrated, predict_stream
 from suspnet.runs.tables import scores_table
 from suspnet.vehicle import QuarterCar
 
-SETTINGS = CurveSettings(300, 200, 300, low_hz=0.3, high_hz=12.0, step_hz=0.04, cache_dir=None)
+SETTINGS = CurveSettings(300, 200, 300, low_hz=0.3, high_hz=12.0, step_hz=0.04)
 METHODS = {
     "msvr": lambda: MSVR(1e4, 8.0, 1e-3, n_components=256),
     "linear": LinearRegression,

@@ -26,16 +26,10 @@ PROTOCOLS = {
 SMALL = ["data.n_train=200", "data.n_test=100", "data.n_calibrate=200", "data.step_hz=0.08"]
 
 
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory):
-    """Features are made once for all methods."""
-    return tmp_path_factory.mktemp("cache")
-
-
-def trained(model, protocol, group, cache, folder, *overrides, residual=None):
+def trained(model, protocol, group, folder, *overrides, residual=None):
     with initialize_config_dir(version_base="1.3", config_dir=str(CONFIGS)):
         chosen = [f"protocol={protocol}", f"group={group}", f"model={model}", *overrides]
-        config = compose("train", overrides=[*chosen, f"data.cache_dir={cache}"])
+        config = compose("train", overrides=chosen)
     task = build(config, "protocol").task(group)
     problem = Problem(
         build(config, "generator"), task, build(config, "data"), config.seed, progress=False
@@ -68,8 +62,8 @@ def cases():
 
 
 @pytest.mark.parametrize(("model", "protocol", "group"), [*cases()])
-def test_every_method_is_calibrated_under_every_protocol(model, protocol, group, cache, tmp_path):
-    metrics = trained(model, protocol, group, cache, tmp_path, *SMALL)
+def test_every_method_is_calibrated_under_every_protocol(model, protocol, group, tmp_path):
+    metrics = trained(model, protocol, group, tmp_path, *SMALL)
     outputs = metrics["scores"]
     # 100 scores and 100 curves: 3 % and 3 %, four of their root sum
     assert metrics["intervals"]["joint_coverage_percent"] == pytest.approx(90, abs=17)
@@ -83,11 +77,11 @@ def test_every_method_is_calibrated_under_every_protocol(model, protocol, group,
     assert model.ood is not None
 
 
-def test_incomplete_physics_is_warned_of_and_kept(cache, tmp_path, caplog):
+def test_incomplete_physics_is_warned_of_and_kept(tmp_path, caplog):
     def residual(n_bins):
         return Residual(5.7, np.full((2, n_bins), 0.01, complex))
 
-    metrics = trained("linear", "joint", "all", cache, tmp_path, *SMALL, residual=residual)
+    metrics = trained("linear", "joint", "all", tmp_path, *SMALL, residual=residual)
     assert "the physics is incomplete: the commissioned vehicle leaves 5.7 times" in caplog.text
     told, model = metrics["unexplained"], load_model(tmp_path)
     assert told["misfit"] == model.unexplained.misfit == 5.7
@@ -98,11 +92,11 @@ def test_incomplete_physics_is_warned_of_and_kept(cache, tmp_path, caplog):
     assert "leaves 5.7 times the noise" in model.estimate(healthy).flags.reasons[0]
 
 
-def test_curve_fit_cannot_be_used_with_trips(cache, tmp_path):
+def test_curve_fit_cannot_be_used_with_trips(tmp_path):
     few = ["data.n_train=20", "data.n_test=5", "data.n_calibrate=null"]
     small = ["data=trips", "generator=best", *few]
     with pytest.raises(ValueError, match=r"model=curve_fit .* cannot be used with data=trips"):
-        trained("curve_fit", "trips", "all", cache, tmp_path, *small)
+        trained("curve_fit", "trips", "all", tmp_path, *small)
     assert not (tmp_path / "model.json").exists()
 
 
@@ -124,12 +118,12 @@ def test_hyperparameters_are_checked_before_curves_are_made(
             trained(model, "multi_location", "primary", tmp_path, folder, *SMALL, setting)
 
 
-def test_a_folder_with_files_of_others_is_left_as_it_is(cache, tmp_path):
+def test_a_folder_with_files_of_others_is_left_as_it_is(tmp_path):
     (tmp_path / "metrics.json").write_text("mine")
     with pytest.raises(FileExistsError, match="suspnet did not write it here"):
-        trained("linear", "multi_location", "primary", cache, tmp_path, *SMALL)
+        trained("linear", "multi_location", "primary", tmp_path, *SMALL)
     assert [path.name for path in tmp_path.iterdir()] == ["metrics.json"]
     # an earlier run of ours is replaced
     for model in ("linear", "svr"):
-        trained(model, "multi_location", "primary", cache, tmp_path / "run", *SMALL)
+        trained(model, "multi_location", "primary", tmp_path / "run", *SMALL)
     assert type(load_model(tmp_path / "run").estimator).__name__ == "SVR"

@@ -139,7 +139,7 @@ def test_phases_of_vehicles_unlike_their_drawing_never_show_the_wrong_direction(
 
 
 def test_healthy_trips_have_their_direction_said_or_not(both_ways, tmp_path):
-    settings = EstimateSettings(rates_hz=RATES_HZ, minutes=5.0, cache_dir=None).bound(AM96)
+    settings = EstimateSettings(rates_hz=RATES_HZ, minutes=5.0).bound(AM96)
     said = read_healthy(both_ways[0].parent, VerticalVehicle(AM96), settings, SETTINGS)
     expected = ["forward", "reverse", "forward", "reverse"]
     assert [group.direction for group in said.groups] == expected

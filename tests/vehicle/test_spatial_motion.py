@@ -11,8 +11,7 @@ from vehicles import AM96
 
 from suspnet import SpatialVehicle
 from suspnet.vehicle.motion import SampledMotion
-from suspnet.vehicle.quantities import PARTS
-from suspnet.vehicle.spatial_numbers import ADDITIONS, PLACES
+from suspnet.vehicle.quantities import ADDITIONS, PARTS, PLACES
 
 FREQUENCIES = torch.tensor([0.3, 0.9, 1.9, 5.4, 11.0, 20.0]).double()
 MOVING = tuple(part for part in PARTS if part not in ("sensors", "wheelsets"))

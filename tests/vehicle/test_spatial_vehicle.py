@@ -10,8 +10,7 @@ from vehicles import AM96, MEDIANS
 
 from suspnet import COMPONENTS, SpatialVehicle
 from suspnet.vehicle import VerticalVehicle
-from suspnet.vehicle.quantities import PARTS, UNMEASURED, LogNormal
-from suspnet.vehicle.spatial_numbers import ADDITIONS
+from suspnet.vehicle.quantities import ADDITIONS, PARTS, UNMEASURED, LogNormal
 
 FREQUENCIES = torch.tensor([0.5, 1.3, 6.0]).double()
 HEALTHY = torch.ones(1, 13).double()

@@ -233,13 +233,6 @@ def test_the_prior_is_of_the_parts_that_there_are():
         assert dict(zip(belief.names, belief.deviations, strict=True)) == pytest.approx(expected)
 
 
-def test_words_count_the_uncertain_numbers():
-    assert "taken as known" in VerticalVehicle(AM96).assumptions()
-    words = VerticalVehicle(AM96, distribution={"speed": 0.1, "half_wheelbase": 0.05}).assumptions()
-    assert "; 2 of its numbers are uncertain" in words
-    assert "geometry" not in words
-
-
 def test_a_sixth_column_is_the_speed():
     given = torch.cat([FIVE, torch.tensor([[0.8], [1.0], [1.3]], dtype=torch.float64)], dim=1)
     found = stacked(VerticalVehicle(AM96, speed_m_per_s=50.0), given)

@@ -14,9 +14,9 @@ import torch
 from torch import Tensor
 
 from suspnet.curves.cross_spectra import CrossSpectra
+from suspnet.curves.curves import every_direction
 from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.expected_spectra import EstimateMisfit
-from suspnet.curves.observation import every_direction
 from suspnet.curves.speeds import Speeds
 from suspnet.estimation.damping_laws import DampingNumbers, Laws
 from suspnet.estimation.relative_velocity import CHANGING, relative_velocities

@@ -33,7 +33,7 @@ from suspnet.trains.spectra.steady_parts import groups_to_read, minutes_words
 from suspnet.trains.spectra.subspace import SpectralMatrix
 from suspnet.trains.spectra.wheel_lines import line_bins, wheel_lines
 from suspnet.vehicle import SpatialVehicle, VerticalVehicle
-from suspnet.vehicle.spatial_numbers import IN_BETWEEN, PLACES
+from suspnet.vehicle.quantities import IN_BETWEEN, PLACES
 
 PARTS_OF_BOGIE = (
     *("bushings", "rubber", "guidance", "longitudinal", "bending", "payload", "sensors"),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
-from itertools import count
 from pathlib import Path
 
 from suspnet.ground import ledger
@@ -23,21 +22,19 @@ class FolderTakenError(ValueError):
 
 
 @contextmanager
-def own_folder(folder: Path) -> Iterator[Path]:
-    """Yield a folder that no other simulation is writing to: `folder`, or folder_2, and so on."""
-    for number in count(1):
-        tried = folder if number == 1 else folder.with_name(f"{folder.name}_{number}")
-        existed = tried.is_dir()
-        with locked(tried, wait=False) as is_ours:
-            if not is_ours:
-                log.warning("another simulation is writing to %s", tried)
-                continue
-            try:
-                yield tried
-            finally:
-                if not existed and not any(tried.iterdir()):
-                    tried.rmdir()
-            return
+def own_folder(folder: Path) -> Iterator[None]:
+    """Keep other simulations from a folder; FolderTakenError if one is writing to it."""
+    existed = folder.is_dir()
+    with locked(folder, wait=False) as is_ours:
+        if not is_ours:
+            raise FolderTakenError(
+                f"another simulation is writing to {folder}; give another folder"
+            )
+        try:
+            yield
+        finally:
+            if not existed and not any(folder.iterdir()):
+                folder.rmdir()
 
 
 @contextmanager

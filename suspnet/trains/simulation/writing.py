@@ -43,8 +43,7 @@ from suspnet.trains.simulation.signals import Journey, profile_length_m, simulat
 from suspnet.trains.simulation.true_vehicle import scattered, true_numbers, with_separate_parts
 from suspnet.vehicle import PARAMETERS, ResponseGenerator, VerticalVehicle
 from suspnet.vehicle.motion import LinearSystem
-from suspnet.vehicle.quantities import IN_MOTION
-from suspnet.vehicle.spatial_numbers import ADDITIONS
+from suspnet.vehicle.quantities import ADDITIONS, IN_MOTION
 from suspnet.vehicle.track import TrackProfile, cross_level_spectrum, make_profile, track_spectrum
 
 ROW_GROUP = 1 << 20
@@ -109,11 +108,10 @@ def write_fleet(
     """Simulate trips, write each as a manifest and Parquet files, and return the manifests.
 
     The true numbers of the healthy vehicle are stored in ``truth.json``. An unfinished simulation
-    continues with the missing trips; if another one is writing to the folder, folder_2 (and so on)
-    is used. `aboard` is None for a suspension without a train; `n_jobs` trips are simulated in
-    parallel (None: see `workers_for`). Raises ValueError if no physical vehicle can be drawn, if
-    both sides are required of a vehicle without roll, or if the folder holds other trips;
-    LostWorkerError if a writing process was killed.
+    continues with the missing trips. `aboard` is None for a suspension without a train; `n_jobs`
+    trips are simulated in parallel (None: see `workers_for`). Raises ValueError if no physical
+    vehicle can be drawn, if both sides are required of a vehicle without roll, or if the folder
+    holds other trips or is written to; LostWorkerError if a writing process was killed.
     """
     fleet, scenario, seed = simulation.fleet, simulation.scenario, simulation.seed
     made_from = simulation.made_from(aboard)
@@ -138,7 +136,7 @@ def write_fleet(
     write = functools.partial(
         _write_trip, fleet=fleet, generator=generator, seed=seed, aboard=aboard
     )
-    with own_folder(folder) as folder:
+    with own_folder(folder):
         paths = [folder / f"{_name(i)}.yaml" for i in range(fleet.n_trips)]
         # a trip that lost a file is written again, as is one that was interrupted
         missing = [i for i, path in enumerate(paths) if not is_whole(path)]
@@ -175,7 +173,7 @@ def write_trains(
         "wearing": [suspension.name for suspension in suspensions if suspension.wears],
         "suspensions": [suspension.name for suspension in suspensions],
     }
-    with own_folder(folder) as folder:
+    with own_folder(folder):
         missing = [
             suspension for suspension in suspensions if not is_finished(folder / suspension.name)
         ]
