@@ -258,6 +258,23 @@ class Train:
 
     def seen(self, place):
         """Return what a sensor sees over all coordinates."""
+        up = self.upwards(place)
+        if "cross_axis" not in self.parts:
+            return up
+        return up + self.n[f"cross_axis_{place}"] * self.aside(place)
+
+    def aside(self, place):
+        """Return the motion to the left: of the body's floor, a frame's centre line, an axle."""
+        if place.startswith("body"):
+            ahead = self.centres[0] + self.vehicle.body_sensor_m
+            return moved(BODY, [ahead, 0, -self.n["body_lever"]], Y)
+        axle = 1 if "axle1" in place else 2
+        if place.startswith("frame"):
+            ahead = 0.0 if "centre" in place else self.axles[axle - 1]
+            return moved(FRAMES[0], [ahead, 0, 0], Y)
+        return moved(WHEELSETS[axle - 1], [0, 0, 0], Y)
+
+    def upwards(self, place):
         n, v = self.n, self.vehicle
         y = {"left": 1.0, "right": -1.0, "middle": 0.0}[place.split("_")[-1]]
         if place.startswith("body"):

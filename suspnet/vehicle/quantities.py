@@ -100,6 +100,7 @@ ADDITIONS: dict[str, tuple[str, ...]] = {
     "body_yaw": ("chi",),
     "creep": tuple(f"{motion}_w{wheel}" for wheel in range(1, 5) for motion in ("y", "chi")),
     "torsion": ("tau_1", "tau_2"),
+    "cross_axis": (),
 }
 """Parts that only a vehicle of twelve separate parts may have, each with its coordinates."""
 LATERAL = ("frame_sway", "frame_yaw", "creep")
@@ -135,6 +136,7 @@ UNMEASURED = tuple(quantity.name for quantity in QUANTITIES)
 """Names of the quantities: columns of ratios after ``PARAMETERS``, the speed first."""
 _OWN = {"healthy": "healthy {} over the mean of its kind"}
 _OWN |= {"other": "{} of the other bogie over the mean of its kind"}
+CROSS_AXIS = "share of the lateral motion that is read by"
 SPATIAL_QUANTITIES = (
     *(
         Quantity("", f"{whose}_{name}", 0.05, "", meaning.format(name))
@@ -145,6 +147,10 @@ SPATIAL_QUANTITIES = (
     *(Quantity("sensors", f"gain_{p}", 0.02, "", f"sensitivity of {p}", 1.0) for p in PLACES),
     *(
         Quantity("sensors", f"delay_{p}", 0.1, "s", f"delay of {p}", 5e-3, True, 0.0)
+        for p in PLACES
+    ),
+    *(
+        Quantity("cross_axis", f"cross_axis_{p}", 0.1, "", f"{CROSS_AXIS} {p}", 0.25, True, 0.0)
         for p in PLACES
     ),
 )

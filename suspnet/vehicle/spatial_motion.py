@@ -31,6 +31,10 @@ speed V, half gauge b_r, conicity lambda and creep coefficients of a wheel, c al
     F   = -2 rho c (s (y_w + r_0 x) / V - t chi_w / a)
     M   = -2 c b_r (lambda (y_w + r_0 x - v) / r_0 + s b_r t chi_w / (a V))
 
+A sensor sees the rise of its place, and with cross_axis a share of the motion to the left there::
+
+    y + (1 + f m / L) chi + h_2 theta   (body, m ahead of the pivot),   y_1 + eps chi_1,   y_w
+
 Gravity and the stiffness of flanges are left out: both are small against creep above 0.3 Hz. What
 the vehicle's parts do not have is held at 0.
 """
@@ -238,14 +242,44 @@ def sensed(layout: Layout, p: Mapping[str, Tensor], sensors: Sequence[str]) -> l
 
 
 def _seen(layout: Layout, p: Mapping[str, Tensor], place: str) -> Row:
+    upwards = _upwards(layout, p, place)
+    if "cross_axis" not in layout.parts:
+        return upwards
+    share, aside = p[f"cross_axis_{place}"], _aside(layout, p, place)
+    names = dict.fromkeys((*upwards, *aside))
+    return {name: upwards.get(name, 0.0) + share * aside.get(name, 0.0) for name in names}
+
+
+def _aside(layout: Layout, p: Mapping[str, Tensor], place: str) -> Row:
+    """Return the lateral motion of a place, to the left."""
+    if place.startswith("body"):
+        return {"y": 1.0, "chi": _ahead(layout, p), "theta": p["body_lever"]}
+    axle, end = _axle_of(place)
+    if place.startswith("frame"):
+        return {"y_1": 1.0, "chi_1": end}
+    if "creep" in layout.parts:
+        return {f"y_w{axle}": 1.0}
+    return {f"v{axle}": 1.0, f"x{axle}": -p["wheel_radius"]}
+
+
+def _ahead(layout: Layout, p: Mapping[str, Tensor]) -> Tensor:
+    """Return how far ahead of the body's centre its sensors are, over the pivot's distance."""
+    f, _ = _ends(layout)
+    return 1 + f * layout.body_sensor_m / p["half_pivot_distance"]
+
+
+def _axle_of(place: str) -> tuple[int, float]:
+    """Return the axle of a place, 0 if it is at none, and its end of the bogie."""
+    axle = next((axle for axle in (1, 2) if f"axle{axle}" in place), 0)
+    return axle, (0.0, 1.0, -1.0)[axle]
+
+
+def _upwards(layout: Layout, p: Mapping[str, Tensor], place: str) -> Row:
     sign = SIGNS[place.rpartition("_")[2]]
     if place.startswith("body"):
-        f, _ = _ends(layout)
-        ahead = 1 + f * layout.body_sensor_m / p["half_pivot_distance"]
-        bent: Row = {"z": 1.0, "q": p["bending_at_sensor"], "phi": ahead}
+        bent: Row = {"z": 1.0, "q": p["bending_at_sensor"], "phi": _ahead(layout, p)}
         return {**bent, "theta": sign * p["body_lateral"]}
-    axle = next((axle for axle in (1, 2) if f"axle{axle}" in place), 0)
-    end = (0.0, 1.0, -1.0)[axle]
+    axle, end = _axle_of(place)
     if place.startswith("frame"):
         return _corner(1, end, sign * p["frame_lateral"], p)
     lateral = sign * p["axle_box_lateral"]

@@ -45,10 +45,10 @@ class SpatialVehicle(VehicleFamily):
     Ratios have the columns ``COMPONENTS`` and, if given, the speed or all of ``columns``. Those of
     springs and dampers are relative to the healthy ones of this vehicle, which differ by their own
     quantities ("healthy_k_p_axle1_left", ...) from the healthy mean of their kind, as those of the
-    other bogie do ("other_k_p_axle1_left", ...). `parts` may
-    also hold frame_sway, frame_yaw, body_yaw, creep (sway and yaw of the wheelsets) and torsion (of
-    the frames); roll is always one of them. The vehicle is the vertical one where nothing differs
-    and these are absent. `sensors` are from ``PLACES``, by default a pair at axle box 1, at
+    other bogie do ("other_k_p_axle1_left", ...). `parts` may also hold frame_sway, frame_yaw,
+    body_yaw, creep (sway and yaw of the wheelsets), torsion (of the frames) and cross_axis (of the
+    sensors); roll is always one of them. The vehicle is the vertical one where nothing differs and
+    these are absent. `sensors` are from ``PLACES``, by default a pair at axle box 1, at
     `frame_sensor` and on the body; sensitivities and delays are relative to the first of them.
 
     Examples
@@ -103,13 +103,14 @@ class SpatialVehicle(VehicleFamily):
     @cached_property
     def quantities(self) -> tuple[Quantity, ...]:  # noqa: D102
         measuring = {f"{kind}_{place}" for kind in ("gain", "delay") for place in self._places[1:]}
+        measuring |= {f"cross_axis_{place}" for place in self._places}
         return (
             # those of yaw dampers are among its own
             *(q for q in QUANTITIES if q.part not in ("sensors", "yaw_dampers")),
             *(
                 quantity
                 for quantity in SPATIAL_QUANTITIES
-                if quantity.part != "sensors" or quantity.name in measuring
+                if quantity.part not in ("sensors", "cross_axis") or quantity.name in measuring
             ),
         )
 
