@@ -102,15 +102,33 @@ class Train:
         self.drive = np.zeros((SIZE, INPUTS), dtype=complex)
         # what wheelsets are made to do: rows of coordinates that follow the track
         self.led = np.zeros((SIZE, INPUTS))
+        self.slaved = np.zeros((SIZE, SIZE))  # what follows other coordinates
         for wheel, body in enumerate(WHEELSETS):
-            self.led[6 * body + 2, wheel] = self.led[6 * body + 3, 4 + wheel] = 1.0
+            if "track" not in self.parts:
+                self.led[6 * body + 2, wheel] = self.led[6 * body + 3, 4 + wheel] = 1.0
             if "creep" not in self.parts:
                 self.led[6 * body + 1, 8 + wheel] = 1.0
-                self.led[6 * body + 1, 4 + wheel] = -n["wheel_radius"]
+                if "track" in self.parts:
+                    self.slaved[6 * body + 1, 6 * body + 3] = -n["wheel_radius"]
+                else:
+                    self.led[6 * body + 1, 4 + wheel] = -n["wheel_radius"]
         self.masses()
         self.springs()
         if "creep" in self.parts:
             self.creep()
+        if "track" in self.parts:
+            self.carry()
+
+    def carry(self):
+        """Add the track under each rail, between a point of the wheelset and the rail's height."""
+        n = self.n
+        kappa = (n["track_stiffness"] + n["track_damping"] * self.s) / 2
+        for wheel, body in enumerate(WHEELSETS):
+            for y in (RAIL_M, -RAIL_M):
+                at, rail = moved(body, [0, y, 0], Z), np.zeros(INPUTS)
+                rail[wheel], rail[4 + wheel] = 1.0, y
+                self.system += kappa * np.outer(at, at)
+                self.drive += kappa * np.outer(at, rail)
 
     def bend(self, row, height, place):
         """Add the first bending of the body to a motion there."""
@@ -146,7 +164,10 @@ class Train:
         yaw = n["bogie_gyration"] * n["bogie_yaw"]
         own = np.array([1, 1, 1, n["bogie_roll_gyration"], n["bogie_gyration"], yaw])
         squares[6:18] = np.tile(frame * own**2, 2)
-        own = np.array([0, 1, 0, 0, 0, n["wheelset_yaw_gyration"]])
+        # a wheelset held on its rails has no mass of its own where its motion is the track's
+        aside, up = "creep" in self.parts, "track" in self.parts
+        gyration = n["wheelset_yaw_gyration"]
+        own = np.array([0, aside, up, up * gyration, 0, gyration])
         squares[18:42] = np.tile(n["wheelset_mass"] * own**2, 4)
         squares[42:] = body / 2, *[frame * TORSION_MASS] * 2
         self.system += np.diag(squares) * s**2
@@ -230,7 +251,7 @@ class Train:
                 rolled = r + n["conicity"] * y / RAIL_M * (place - rails)  # without its constant
                 along = (-s * y * yaw - v / r * (rolled - r)) / size
                 for creepage, axis, size_of in ((aside, Y, n["creep_ratio"]), (along, X, 1.0)):
-                    at = moved(body, [0, y, 0], axis)
+                    at = moved(body, [0, y, -r], axis)
                     force = size_of * c * np.outer(at, creepage)
                     self.system += force[:, :SIZE]
                     self.drive -= force[:, SIZE:]
@@ -249,12 +270,12 @@ class Train:
             keep[43 + i] = "torsion" in self.parts
         for body in WHEELSETS:
             keep[6 * body + 1] = keep[6 * body + 5] = "creep" in self.parts
+            keep[6 * body + 2] = keep[6 * body + 3] = "track" in self.parts
         keep &= ~led
-        forces = self.drive[keep] - self.system[np.ix_(keep, led)] @ self.led[led]
         # wheelset coordinates led by the track are known, all others are locked
-        moved = self.led.astype(complex)
-        moved[keep] = np.linalg.solve(self.system[np.ix_(keep, keep)], forces)
-        return moved
+        free = (np.eye(SIZE) + self.slaved)[:, keep]
+        forces = free.T @ (self.drive - self.system @ self.led)
+        return free @ np.linalg.solve(free.T @ self.system @ free, forces) + self.led
 
     def seen(self, place):
         """Return what a sensor sees over all coordinates."""

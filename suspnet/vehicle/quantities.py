@@ -100,6 +100,7 @@ ADDITIONS: dict[str, tuple[str, ...]] = {
     "body_yaw": ("chi",),
     "creep": tuple(f"{motion}_w{wheel}" for wheel in range(1, 5) for motion in ("y", "chi")),
     "torsion": ("tau_1", "tau_2"),
+    "track": tuple(f"{motion}_w{wheel}" for wheel in range(1, 5) for motion in ("z", "theta")),
     "cross_axis": (),
 }
 """Parts that only a vehicle of twelve separate parts may have, each with its coordinates."""

@@ -24,7 +24,10 @@ angle and its lateral place, the stretches are::
     axle boxes         2 kappa_b     (b_p / a) (chi_i - chi_w)
     bending, torsion   kappa_q, k_t  q, tau_i
 
-y_w is v - r_0 x, so that the wheelset stays on its track, or a coordinate with creep. With the
+    track, rail        k_w / 2       z_w + s b_r theta_w - w - s b_r x
+
+y_w is v - r_0 x, so that the wheelset stays on its track, or a coordinate with creep. z_w and
+theta_w take the place of w and x above and below where the track gives way. With the
 speed V, half gauge b_r, conicity lambda and creep coefficients of a wheel, c along and rho c across
 (linear), the wheelset is pulled by its creepages to the left and in yaw::
 
@@ -119,7 +122,9 @@ def masses(parts: Sequence[str], p: Mapping[str, Tensor]) -> list[Tensor]:
         mass_of |= {f"tau_{i}": frame * TORSION_MASS}
     turned = (p["wheelset_yaw_gyration"] / p["half_wheelbase"]) ** 2
     for wheel in range(1, 5):
-        mass_of |= {f"y_w{wheel}": p["wheelset_mass"], f"chi_w{wheel}": p["wheelset_mass"] * turned}
+        mass, rolled = p["wheelset_mass"], p["wheelset_yaw_gyration"] ** 2
+        mass_of |= {f"y_w{wheel}": mass, f"chi_w{wheel}": mass * turned}
+        mass_of |= {f"z_w{wheel}": mass, f"theta_w{wheel}": mass * rolled}
     return [mass_of[name] for name in coordinates(parts)]
 
 
@@ -134,10 +139,33 @@ def acting(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
         mass = 2 * p["bogie_mass"] * TORSION_MASS
         torsion = Element(mass * own**2, 2 * p["torsion_damping"] * mass * own)
         joints += [Joint(torsion, {f"tau_{i}": 1.0}) for i in "12"]
+    if "track" in parts:
+        joints += _carried(p)
     if is_lateral(parts):
         joints += _guided(layout, p)
     if "creep" in parts:
         joints += _creeping(layout, p)
+    return joints
+
+
+def _height(parts: Sequence[str], wheel: int) -> str:
+    """Return what the height of a wheelset is: its own, or that of the track under it."""
+    return f"z_w{wheel}" if "track" in parts else f"w{wheel}"
+
+
+def _roll(parts: Sequence[str], wheel: int) -> str:
+    """Return what the roll of a wheelset is: its own, or the angle of the track under it."""
+    return f"theta_w{wheel}" if "track" in parts else f"x{wheel}"
+
+
+def _carried(p: Mapping[str, Tensor]) -> list[Joint]:
+    """Return the track under each rail of a wheelset."""
+    rail = Element(p["track_stiffness"], p["track_damping"]).times(0.5)
+    joints = []
+    for wheel in range(1, 5):
+        for aside in (RAIL_LATERAL_M, -RAIL_LATERAL_M):
+            above: Row = {f"z_w{wheel}": 1.0, f"theta_w{wheel}": aside}
+            joints.append(Joint(rail, {**above, f"w{wheel}": -1.0, f"x{wheel}": -aside}))
     return joints
 
 
@@ -159,8 +187,8 @@ def _suspensions(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
                 wheel = axle + 2 * (i - 1)
                 corner = f"_axle{axle}_{side}"
                 spring = primary_element(p, which, parts, corner).times(0.5)
-                track: Row = {f"w{wheel}": -1.0, f"x{wheel}": -lateral}
-                joints.append(Joint(spring, {**_corner(i, end, lateral, p), **track}))
+                below: Row = {_height(parts, wheel): -1.0, _roll(parts, wheel): -lateral}
+                joints.append(Joint(spring, {**_corner(i, end, lateral, p), **below}))
             spring = secondary_element(p, which, parts, f"_{side}")
             lateral = SIGNS[side] * p["secondary_lateral"]
             body: Row = {"z": 1.0, "q": p["bending_at_pivot"], "phi": sigma, "theta": lateral}
@@ -202,7 +230,7 @@ def _guided(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
         i, end = 1 + (wheel > 2), 1.0 if wheel % 2 else -1.0
         aside: Row = {f"y_{i}": 1.0, f"chi_{i}": end, f"theta_{i}": p["guide_lever"]}
         if "creep" not in layout.parts:
-            held: Row = {f"v{wheel}": -1.0, f"x{wheel}": p["wheel_radius"]}
+            held: Row = {f"v{wheel}": -1.0, _roll(layout.parts, wheel): p["wheel_radius"]}
             joints.append(Joint(guide, {**aside, **held}))
             continue
         joints.append(Joint(guide, {**aside, f"y_w{wheel}": -1.0}))
@@ -222,14 +250,15 @@ def _creeping(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
     lever, cone = RAIL_LATERAL_M / p["half_wheelbase"], p["conicity"] / p["wheel_radius"]
     joints = []
     for wheel in range(1, 5):
-        y, chi = f"y_w{wheel}", f"chi_w{wheel}"
+        y, chi, roll = f"y_w{wheel}", f"chi_w{wheel}", _roll(layout.parts, wheel)
+        contact: Row = {y: 1.0, roll: p["wheel_radius"]}
         joints += [
-            Joint(damper_aside, {y: 1.0, f"x{wheel}": p["wheel_radius"]}),
+            Joint(damper_aside, contact),
             Joint(damper, {chi: lever}),
-            Joint(creep_aside, {chi: t / p["half_wheelbase"]}, {y: -1.0}),
+            Joint(creep_aside, {chi: -t / p["half_wheelbase"]}, contact),
             Joint(
                 creep,
-                {y: cone, f"x{wheel}": p["conicity"], f"v{wheel}": -cone},
+                {y: cone, roll: p["conicity"], f"v{wheel}": -cone},
                 {chi: t * lever},
             ),
         ]
@@ -259,7 +288,7 @@ def _aside(layout: Layout, p: Mapping[str, Tensor], place: str) -> Row:
         return {"y_1": 1.0, "chi_1": end}
     if "creep" in layout.parts:
         return {f"y_w{axle}": 1.0}
-    return {f"v{axle}": 1.0, f"x{axle}": -p["wheel_radius"]}
+    return {f"v{axle}": 1.0, _roll(layout.parts, axle): -p["wheel_radius"]}
 
 
 def _ahead(layout: Layout, p: Mapping[str, Tensor]) -> Tensor:
@@ -283,7 +312,7 @@ def _upwards(layout: Layout, p: Mapping[str, Tensor], place: str) -> Row:
     if place.startswith("frame"):
         return _corner(1, end, sign * p["frame_lateral"], p)
     lateral = sign * p["axle_box_lateral"]
-    box: Row = {f"w{axle}": 1.0, f"x{axle}": lateral}
+    box: Row = {_height(layout.parts, axle): 1.0, _roll(layout.parts, axle): lateral}
     if "axle_box_arm" not in layout.parts:
         return box
     arm, above = p["arm_share"], _corner(1, end, lateral, p)

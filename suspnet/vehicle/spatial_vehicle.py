@@ -46,10 +46,11 @@ class SpatialVehicle(VehicleFamily):
     springs and dampers are relative to the healthy ones of this vehicle, which differ by their own
     quantities ("healthy_k_p_axle1_left", ...) from the healthy mean of their kind, as those of the
     other bogie do ("other_k_p_axle1_left", ...). `parts` may also hold frame_sway, frame_yaw,
-    body_yaw, creep (sway and yaw of the wheelsets), torsion (of the frames) and cross_axis (of the
-    sensors); roll is always one of them. The vehicle is the vertical one where nothing differs and
-    these are absent. `sensors` are from ``PLACES``, by default a pair at axle box 1, at
-    `frame_sensor` and on the body; sensitivities and delays are relative to the first of them.
+    body_yaw, creep (sway and yaw of the wheelsets), torsion (of the frames), track (that gives way
+    under the wheelsets) and cross_axis (of the sensors); roll is always one of them. The vehicle is
+    the vertical one where nothing differs and these are absent. `sensors` are from ``PLACES``, by
+    default a pair at axle box 1, at `frame_sensor` and on the body; sensitivities and delays are
+    relative to the first of them.
 
     Examples
     --------
