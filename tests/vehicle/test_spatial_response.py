@@ -77,15 +77,15 @@ def test_channels_alone_are_the_motion_of_one_wheelset(direction):
 
 
 @pytest.mark.parametrize(
-    ("parts", "direction", "least"),
+    ("parts", "direction"),
     [
-        ([part for part in EVERY if part != "track"], "forward", 0.01),
-        ([part for part in EVERY if part != "track"], "reverse", 0.01),
-        (EVERY, "forward", 0.03),  # the track is stiff: differences of the equations lose a digit
+        ([part for part in EVERY if part != "track"], "forward"),
+        ([part for part in EVERY if part != "track"], "reverse"),
+        (EVERY, "forward"),
     ],
     ids=["forward", "reverse", "track"],
 )
-def test_derivatives_are_those_of_central_differences(parts, direction, least):
+def test_derivatives_are_those_of_central_differences(parts, direction):
     generator = vehicle(parts, direction=direction)
     rows, offsets, step = rows_of(generator, 2), generator.offsets, 1e-5
     n = len(generator.columns)
@@ -109,7 +109,7 @@ def test_derivatives_are_those_of_central_differences(parts, direction, least):
         if size < 1e-6:
             without_effect.append(k)
             size = 1.0
-        assert (slopes[:, k] - difference).abs().max() < 1e-6 * max(size, least)
+        assert (slopes[:, k] - difference).abs().max() < max(1e-6 * size, 5e-8)  # rounding
     # with an air spring the secondary bushing is out of use
     unused = {"secondary_bushing"}
     if "track" not in parts:
