@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from suspnet.trains.maintenance.trend import trend
 from trip_records import SPREAD
 
 from suspnet.ground.parameters import (
@@ -22,7 +23,6 @@ from suspnet.ground.parameters import (
 from suspnet.trains.maintenance.assessment import assess, overall
 from suspnet.trains.maintenance.judge import judge, last_trips
 from suspnet.trains.maintenance.series import N_LAST, make_series
-from suspnet.trains.maintenance.trend import trend
 from suspnet.trains.simulation.fleet import Scenario
 from suspnet.vehicle import PARAMETERS
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from depot_trips import N_TRIPS, place, trips
+from suspnet.trains.maintenance.sisters import SisterSettings
 
 from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
 from suspnet.ground.records import Place
@@ -15,9 +16,8 @@ from suspnet.trains.jobs.maintenance import existing_history, write_maintenance
 from suspnet.trains.maintenance.alarms import Acknowledgement
 from suspnet.trains.maintenance.change import ChangeSettings
 from suspnet.trains.maintenance.fleet import fleet_state
-from suspnet.trains.maintenance.plan import PlanSettings, make_plan, parts_of, train_of, trains_of
+from suspnet.trains.maintenance.plan import PlanSettings, make_plan, trains_of
 from suspnet.trains.maintenance.series import Event
-from suspnet.trains.maintenance.sisters import SisterSettings
 from suspnet.trains.pages.board import BoardSettings
 from suspnet.trains.pages.overview import overview_rows, overview_table
 

@@ -6,6 +6,7 @@ from itertools import cycle, product
 
 import numpy as np
 import pytest
+from suspnet.trains.maintenance.trend import ParameterTrend, Shape, Step, flagged_trend
 
 from suspnet.ground.findings import Finding, parts_of
 from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
@@ -21,7 +22,6 @@ from suspnet.trains.maintenance.assessment import (
 )
 from suspnet.trains.maintenance.judge import LastTrips, last_trips
 from suspnet.trains.maintenance.series import make_series
-from suspnet.trains.maintenance.trend import ParameterTrend, Shape, Step, flagged_trend
 
 LIMITS = DEFAULT_LIMITS["k_s"]
 N_TRIPS = 30

@@ -14,6 +14,7 @@ import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 import pytest
 from cli_runner import blank_figures
+from suspnet.trains.maintenance.trend import LEAST_PERCENT
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from trip_fixtures import OUTPUTS, changed, recalled_trip, signal
 from trip_records import fleet as made_up
@@ -29,7 +30,6 @@ from suspnet.trains.jobs.fleet import FleetSettings, evaluate_fleet
 from suspnet.trains.maintenance.alarms import Alarm
 from suspnet.trains.maintenance.series import series_of
 from suspnet.trains.maintenance.state import State
-from suspnet.trains.maintenance.trend import LEAST_PERCENT
 from suspnet.trains.pages import output
 from suspnet.trains.pages.output import (
     coverage_percent,

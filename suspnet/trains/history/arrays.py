@@ -70,25 +70,25 @@ class Reference:
     healthy_si: Mapping[str, float]
 
 
-def is_comparable(
+def comparable(
     references: Iterable[Reference], results: Sequence[TripResult]
-) -> sql.ColumnElement[bool]:
-    """Return the condition that a trip is relative to one of `references`, or has no estimate.
+) -> tuple[sql.ColumnElement[bool], sql.ColumnElement[bool]]:
+    """Return the conditions that a trip is comparable with `results`, and that it is not.
 
-    It also holds for the trips of `results`.
+    A trip is if it is relative to one of `references`, has no estimate, or is of `results`. One
+    with a start is neither if it is one of `results` that has none: it is the same trip.
     """
     own = trips.c.key.in_([trip_key(result) for result in results])
-    return _certain(sql.or_(trips.c.status != OK, own, *map(_is_relative_to, references)))
-
-
-def is_dated_again(results: Sequence[TripResult]) -> sql.ColumnElement[bool]:
-    """Return the condition that a trip with a start is one of `results` that has none."""
+    chosen = sql.or_(trips.c.status != OK, own, *map(_is_relative_to, references))
     same = (
         sql.and_(trips.c.trip == result.trip, _is(trips.c.mileage_km, result.mileage_km))
         for result in results
         if not result.start
     )
-    return _certain(sql.and_(trips.c.start != "", sql.or_(sql.false(), *same)))
+    is_again = sql.and_(trips.c.start != "", sql.or_(sql.false(), *same))
+    # false, not NULL, where a column is NULL
+    chosen, is_again = (sql.func.coalesce(c, sql.false()) for c in (chosen, is_again))
+    return sql.and_(chosen, ~is_again), sql.and_(~chosen, ~is_again)
 
 
 def _is_relative_to(reference: Reference) -> sql.ColumnElement[bool]:
@@ -97,11 +97,6 @@ def _is_relative_to(reference: Reference) -> sql.ColumnElement[bool]:
         return sql.false()
     same = (sql.func.abs(trips.c[name] - v) <= SAME * abs(v) for name, v in healthy.items())
     return sql.and_(_is(trips.c.healthy_since_km, reference.since_km), *same)
-
-
-def _certain(condition: sql.ColumnElement[bool]) -> sql.ColumnElement[bool]:
-    """Return a condition that is false, not NULL, where a column is NULL."""
-    return sql.func.coalesce(condition, sql.false())
 
 
 def _is(column: sql.Column[float], value: float) -> sql.ColumnElement[bool]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,13 +12,11 @@ from sqlalchemy.engine import Connection, Engine
 from sqlalchemy.exc import SQLAlchemyError
 
 from suspnet.ground.findings import at
-from suspnet.ground.parameters import Cause
 from suspnet.ground.records import Key, Place, TripResult
 from suspnet.trains.history.arrays import (
     Reference,
     TripResponses,
-    is_comparable,
-    is_dated_again,
+    comparable,
     read_responses,
     read_series,
     write_curves,
@@ -41,18 +39,17 @@ from suspnet.trains.history.schema import (
     BadRow,
     log_once,
     row_of,
-    suspensions,
     trips,
     undated_key,
 )
 from suspnet.trains.history.suspensions import (
     Stored,
     add_suspensions,
+    count_trips,
     delete_trips,
     is_of,
     known_suspensions,
     numbers_of,
-    other_alarms,
     places_of,
     raise_revisions,
     read_stored,
@@ -189,14 +186,25 @@ class History:
         `results`, which have just been stored. If one of these has no start, others of its name and
         mileage are the same trip and left out.
         """
-        chosen, once = is_comparable(references, results), ~is_dated_again(results)
-        others = (
-            sql.select(trips.c.id).join(suspensions).where(is_of(vehicle, place), ~chosen, once)
-        )
-        count = sql.select(sql.func.count()).select_from(others.subquery())
+        of = is_of(vehicle, place)
+        fitting, others = comparable(references, results)
         with self._reading() as connection:
-            several = read_series(connection, self.bad_rows, {(vehicle, place)}, chosen & once)
-            return next(iter(several), None), int(connection.execute(count).scalar_one())
+            several = read_series(connection, self.bad_rows, {(vehicle, place)}, fitting)
+            return next(iter(several), None), count_trips(connection, of, others)
+
+    def comparable_trips(
+        self,
+        vehicle: str,
+        place: Place,
+        references: Sequence[Reference],
+        results: Sequence[TripResult] = (),
+    ) -> tuple[list[TripResult], int]:
+        """Return what ``comparable`` does, but the trips with all that is stored of them."""
+        of = is_of(vehicle, place)
+        fitting, others = comparable(references, results)
+        with self._reading() as connection:
+            found = read_trips(connection, vehicle, place, self.bad_rows, fitting)
+            return found, count_trips(connection, of, others)
 
     def responses(self, vehicle: str, place: Place) -> list[TripResponses]:
         """Return the stored transfer functions of a suspension by mileage.
@@ -216,35 +224,15 @@ class History:
         """Return the maintenance events of a suspension by mileage."""
         return self._read(Event, is_of(vehicle, place)).get((vehicle, place), [])
 
-    def keep_alarms(
-        self,
-        vehicle: str,
-        place: Place,
-        alarms: Sequence[Alarm],
-        causes: Collection[Cause] = tuple(Cause),
-    ) -> None:
-        """Replace the stored alarms of a suspension; see ``keep_all_alarms``."""
-        self.keep_all_alarms({(vehicle, place): alarms}, causes)
+    def keep_alarms(self, vehicle: str, place: Place, alarms: Sequence[Alarm]) -> None:
+        """Replace the stored alarms of a suspension."""
+        self.keep_all_alarms({(vehicle, place): alarms})
 
-    def keep_all_alarms(
-        self, alarms: Mapping[Key, Sequence[Alarm]], causes: Collection[Cause] = tuple(Cause)
-    ) -> None:
-        """Replace the stored alarms of suspensions that are of these causes.
-
-        `alarms` has all alarms of these causes; ValueError is raised if one is of another cause.
-        Suspensions whose alarms are unchanged are not written.
-        """
-        others = {alarm.cause for own in alarms.values() for alarm in own} - set(causes)
-        if others:
-            wanted = ", ".join(causes)
-            raise ValueError(f"alarms of {', '.join(sorted(others))} are not of {wanted}")
+    def keep_all_alarms(self, alarms: Mapping[Key, Sequence[Alarm]]) -> None:
+        """Replace the stored alarms of suspensions; those with the same alarms are not written."""
         with self._writing() as connection:
             ids = numbers_of(connection, alarms, str(self))
-            of_each = {number: alarms[key] for key, number in ids.items()}
-            changed = other_alarms(connection, of_each, causes)
-            raise_revisions(connection, changed)
-            for number in changed:
-                replace_alarms(connection, number, of_each[number], causes)
+            replace_alarms(connection, {number: alarms[key] for key, number in ids.items()})
 
     def alarms(self, vehicle: str, place: Place) -> list[Alarm]:
         """Return the alarms of a suspension, active or cleared, by the mileage where they start."""

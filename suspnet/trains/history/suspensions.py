@@ -11,7 +11,6 @@ import sqlalchemy as sql
 from sqlalchemy.engine import Connection
 
 from suspnet.ground.findings import restored, stored
-from suspnet.ground.parameters import Cause
 from suspnet.ground.records import MOST_NAME, PLACE, Key, Place, TripResult
 from suspnet.trains.history.database import HistoryError, upsert
 from suspnet.trains.history.schema import (
@@ -116,11 +115,20 @@ def raise_revisions(connection: Connection, ids: Iterable[int]) -> None:
 
 
 def read_trips(
-    connection: Connection, vehicle: str, place: Place, bad: list[BadRow]
+    connection: Connection,
+    vehicle: str,
+    place: Place,
+    bad: list[BadRow],
+    where: sql.ColumnElement[bool] | None = None,
 ) -> list[TripResult]:
-    """Return the trips of a suspension by mileage; unreadable rows are appended to `bad`."""
+    """Return the trips of a suspension by mileage, or those selected by `where`.
+
+    Unreadable rows are appended to `bad`.
+    """
     columns = [column for column in trips.columns if column.name != "key"]
     chosen = sql.select(*columns).join(suspensions).where(is_of(vehicle, place))
+    if where is not None:
+        chosen = chosen.where(where)
     results = []
     for row in connection.execute(chosen).mappings():
         try:
@@ -128,6 +136,12 @@ def read_trips(
         except ValueError as error:
             bad.append(bad_row(trips, row, error, (vehicle, place)))
     return sorted(results, key=lambda r: (math.isnan(r.mileage_km), r.mileage_km, r.trip))
+
+
+def count_trips(connection: Connection, *where: sql.ColumnElement[bool]) -> int:
+    """Return the number of trips selected by all of these conditions."""
+    chosen = sql.select(sql.func.count(trips.c.id)).join(suspensions).where(*where)
+    return int(connection.execute(chosen).scalar_one())
 
 
 def delete_trips(connection: Connection, keys: Collection[tuple[int, bytes]]) -> None:
@@ -184,32 +198,21 @@ def write_stored(
         upsert(connection, TABLES[type(kept[0])], [_row(suspension, entry) for entry in kept])
 
 
-def other_alarms(
-    connection: Connection, of_each: Mapping[int, Sequence[Alarm]], causes: Collection[Cause]
-) -> list[int]:
-    """Return the numbers of the suspensions whose stored alarms of these causes differ."""
-    is_chosen = is_one_of(alarms.c.suspension_id, of_each), _is_of(causes)
-    stored_rows: dict[int, list[dict[str, Any]]] = {}
-    for row in connection.execute(sql.select(alarms).where(*is_chosen)).mappings():
-        stored_rows.setdefault(row["suspension_id"], []).append(dict(row))
-    return [
-        number
-        for number, own in of_each.items()
-        if _by_key(stored_rows.get(number, [])) != _by_key(_row(number, alarm) for alarm in own)
-    ]
-
-
-def replace_alarms(
-    connection: Connection, suspension: int, own: Sequence[Alarm], causes: Collection[Cause]
-) -> None:
-    """Replace the stored alarms of a suspension that are of these causes."""
-    is_own = alarms.c.suspension_id == suspension
-    connection.execute(alarms.delete().where(is_own, _is_of(causes)))
-    write_stored(connection, suspension, own)
-
-
-def _is_of(causes: Collection[Cause]) -> sql.ColumnElement[bool]:
-    return alarms.c.cause.in_([str(cause) for cause in causes])
+def replace_alarms(connection: Connection, of_each: Mapping[int, Sequence[Alarm]]) -> None:
+    """Replace the stored alarms of suspensions, by number; unchanged ones are not written."""
+    stored_rows: dict[int, list[dict[str, Any]]] = {number: [] for number in of_each}
+    chosen = sql.select(alarms).where(is_one_of(alarms.c.suspension_id, of_each))
+    for row in connection.execute(chosen).mappings():
+        stored_rows[row["suspension_id"]].append(dict(row))
+    changed = []
+    for number, own in of_each.items():
+        rows = [_row(number, alarm) for alarm in own]
+        if _by_key(rows) != _by_key(stored_rows[number]):
+            changed.append(number)
+    raise_revisions(connection, changed)
+    connection.execute(alarms.delete().where(is_one_of(alarms.c.suspension_id, changed)))
+    for number in changed:
+        write_stored(connection, number, of_each[number])
 
 
 def _by_key(rows: Iterable[dict[str, Any]]) -> dict[tuple[Any, ...], dict[str, Any]]:

@@ -25,15 +25,13 @@ from suspnet.ground.storage import printable
 from suspnet.ground.workers import ITEMS_A_WORKER, USUAL_WORKERS, LostWorkerError, each, workers_for
 from suspnet.runs.language import N_
 from suspnet.trains.history import History
-from suspnet.trains.maintenance.alarms import OWN_CAUSES, Acknowledgement, detector_words
+from suspnet.trains.maintenance.alarms import Acknowledgement, detector_words, watch
 from suspnet.trains.maintenance.assessment import spoken
 from suspnet.trains.maintenance.change import ChangeSettings
-from suspnet.trains.maintenance.fleet import FleetStates
 from suspnet.trains.maintenance.relative import between, relative_results
 from suspnet.trains.maintenance.series import Event, Series, series_of
-from suspnet.trains.maintenance.sisters import SisterSettings
-from suspnet.trains.maintenance.trend import LEAST_PERCENT
-from suspnet.trains.pages.details import missing_reference, report_details, wear_words
+from suspnet.trains.maintenance.state import State, with_lives
+from suspnet.trains.pages.details import missing_reference, report_details
 from suspnet.trains.pages.output import (
     sensor_lines,
     summary,
@@ -56,10 +54,6 @@ from suspnet.trains.trips.grouping import Group, find_groups
 from suspnet.trains.trips.trip import evaluate_trip, lost_trip
 
 log = logging.getLogger(__name__)
-RESOLVED = 2.0
-"""A change must exceed this multiple of the model's rms error on its test curves."""
-SISTERS = SisterSettings()
-"""Settings of the comparison of the suspensions of a car."""
 OVERRIDDEN = "set for this evaluation"
 """Reason for limits that a setting overrides without giving one."""
 
@@ -159,21 +153,10 @@ def evaluate_fleet(
                 raise ValueError(group.error)
             where = output if is_alone else output / group.name
             suspensions.append(_suspension(group, models, where, settings))
-    read = []
     for suspension in _evaluated(suspensions, settings, progress):
         with _reported(suspension.group, done, is_alone):
-            read.append(_with_history(suspension, settings, store))
-    read.sort(key=lambda one: groups.index(one.suspension.group))
-    # all suspensions are read before the first report: its lives use their rates of wear
-    limits = {one.suspension.vehicle: one.suspension.limits for one in read}
-    fleet = FleetStates(limits, settings.changes, SISTERS, seed)
-    if store is not None:
-        earlier = (series for series in store.series() if series.vehicle in fleet.limits)
-        fleet.add(series.relative_to_first(settings.n_first) for series in earlier)
-    fleet.add(one.series for one in read)
-    for one in read:
-        with _reported(one.suspension.group, done, is_alone):
-            done.append(_report(one, fleet, settings, store, figures))
+            trips = _with_history(suspension, settings, store)
+            done.append(_report(trips, settings, store, seed, figures))
     if is_alone:
         return done
     if all(one.error for one in done):
@@ -276,7 +259,7 @@ def _with_history(
 
 
 def _report(
-    trips: _Trips, fleet: FleetStates, settings: FleetSettings, store: History | None, figures: bool
+    trips: _Trips, settings: FleetSettings, store: History | None, seed: int, figures: bool
 ) -> Evaluated:
     """Write tables, figures and the report of a suspension; return its state for the overview."""
     suspension, results = trips.suspension, trips.results
@@ -288,27 +271,23 @@ def _report(
     since_maintenance = between(trips.series.events, results)[-1]
     if missing := missing_reference(since_maintenance, settings.n_first):
         log.warning("%s: %s", group.folder, missing)
-    state = replace(fleet.state_of(trips.series), least_percent=least_percent(outputs, models))
+    watched = watch(trips.series, suspension.limits, settings.changes)
+    state = with_lives(State(trips.series, suspension.limits, watched), seed)
     seen: list[Acknowledgement] = []
     if store is not None and any(r.status != ERROR for r in results):
-        own = [alarm for alarm in state.watched.alarms if alarm.cause in OWN_CAUSES]
-        store.keep_alarms(suspension.vehicle, group.place, own, OWN_CAUSES)
+        store.keep_alarms(suspension.vehicle, group.place, watched.alarms)
         seen = store.acknowledgements(suspension.vehicle, group.place)
-    armed = detector_words(state.watched.changes, settings.changes)
-    n_learnt = fleet.n_learnt(suspension.vehicle)
+    armed = detector_words(watched.changes, settings.changes)
     details = report_details(
         group.folder, models, results, suspension.limits, level, settings.n_first
-    ) | {
-        N_("remaining lives"): wear_words(n_learnt, store is not None),
-        N_("alarms of changes"): armed,
-    }
+    ) | {N_("alarms of changes"): armed}
     if partial := _warn_if_partial(group.folder):
         details["trips"] = f"{details['trips']} ({partial})"
     if store is not None:
         details[N_("history")] = printable(str(store))
     report = Report(results, outputs, state, details, level, trips.commissionings, seen)
     write_pages(report, output, draw=figures)
-    lines = [spoken(state.assessments), *sensor_lines(results, state.watched.alarms)]
+    lines = [spoken(state.assessments), *sensor_lines(results, watched.alarms)]
     words = "\n".join([*lines, f"Alarms of changes: {armed}."])
     log.info("%s\n%s: %s\n-> %s", summary(results, outputs), group.place, words, output)
     return Evaluated(group.name, group.place, results, state)
@@ -389,12 +368,3 @@ def _read_by_workers(
             except distributed.KilledWorker as error:
                 yield trips[future], LostWorkerError(str(error))
             future.release()  # the workers hold its result until then
-
-
-def least_percent(outputs: Sequence[str], models: Sequence[TrainedModel]) -> dict[str, float]:
-    """Return the smallest change of each parameter that the models can resolve, [%]."""
-    rms = {
-        name: max(m.training.get("test_rms_percent", {}).get(name, 0.0) for m in models)
-        for name in outputs
-    }
-    return {name: max(LEAST_PERCENT, RESOLVED * error) for name, error in rms.items()}

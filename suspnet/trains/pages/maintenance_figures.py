@@ -18,7 +18,7 @@ from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, Severity
 from suspnet.runs.figures import MILEAGE_LABEL, SYMBOLS, say
 from suspnet.runs.language import ENGLISH, current
-from suspnet.trains.maintenance.schedule import UNKNOWN, URGENCIES, Job, Plan, Visit
+from suspnet.trains.maintenance.plan import UNKNOWN, URGENCIES, Job, Plan, Visit
 from suspnet.trains.pages.trend import (
     BEYOND,
     FLAGGED,
