@@ -17,9 +17,9 @@ from suspnet.ground.records import Place
 from suspnet.trains.history import History, HistoryError
 from suspnet.trains.maintenance import fleet as fleet_module
 from suspnet.trains.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm
-from suspnet.trains.maintenance.fleet import fleet_state
 from suspnet.trains.maintenance.plan import plan_of
 from suspnet.trains.maintenance.series import Event
+from suspnet.trains.maintenance.state import fleet_state
 from suspnet.trains.pages import board as module
 from suspnet.trains.pages.board import Board, BoardSettings
 from suspnet.trains.pages.overview import address

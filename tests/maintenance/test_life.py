@@ -5,14 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from suspnet.trains.maintenance.first_passage import HORIZON_KM
 
 from benchmarks.prognostics import alpha_lambda, cumulative_relative_accuracy
 from benchmarks.wear_histories import make_histories
 from suspnet.trains.maintenance.degradation import MODELS
-from suspnet.trains.maintenance.first_passage import HORIZON_KM
-from suspnet.trains.maintenance.fleet import learn_fleet
 from suspnet.trains.maintenance.life import DEFAULT_PRIOR, MIN_TRIPS, Life, predict_life
 from suspnet.trains.maintenance.noise import UNIT_KM
+from suspnet.trains.maintenance.state import learn_fleet
 
 LIMITS = (0.7, 1.4)
 KM = 2_000.0 * np.arange(150)

@@ -15,9 +15,9 @@ from suspnet.trains.history import History
 from suspnet.trains.jobs.maintenance import existing_history, write_maintenance
 from suspnet.trains.maintenance.alarms import Acknowledgement
 from suspnet.trains.maintenance.change import ChangeSettings
-from suspnet.trains.maintenance.fleet import fleet_state
 from suspnet.trains.maintenance.plan import PlanSettings, make_plan, trains_of
 from suspnet.trains.maintenance.series import Event
+from suspnet.trains.maintenance.state import fleet_state
 from suspnet.trains.pages.board import BoardSettings
 from suspnet.trains.pages.overview import overview_rows, overview_table
 

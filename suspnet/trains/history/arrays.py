@@ -35,11 +35,14 @@ from suspnet.trains.history.schema import (
     bad_row,
     check_types,
     curves,
+    is_of,
+    is_one_of,
+    known_suspensions,
+    read_stored,
     suspensions,
     trip_key,
     trips,
 )
-from suspnet.trains.history.suspensions import is_of, is_one_of, known_suspensions, read_stored
 from suspnet.trains.maintenance.directions import SIGNS
 from suspnet.trains.maintenance.series import NUMBERS, Event, Series, make_series
 

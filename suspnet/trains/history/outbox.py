@@ -26,8 +26,17 @@ from suspnet.ground.parameters import Severity
 from suspnet.ground.records import Key
 from suspnet.ground.storage import content_hash, json_bytes
 from suspnet.trains.history.database import upsert
-from suspnet.trains.history.schema import BadRow, or_null, outbox, suspensions, told, trips
-from suspnet.trains.history.suspensions import is_one_of, known_suspensions, read_stored
+from suspnet.trains.history.schema import (
+    BadRow,
+    is_one_of,
+    known_suspensions,
+    or_null,
+    outbox,
+    read_stored,
+    suspensions,
+    told,
+    trips,
+)
 from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm, newest_of
 
 LEASE_S = 300.0

@@ -6,7 +6,6 @@ import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 from suspnet.curves.estimates import EstimateSettings
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
@@ -15,7 +14,7 @@ from suspnet.ground.tensors import threads
 from suspnet.trains.fits.bogie_fit import EXPLAINED, commission_bogie
 from suspnet.trains.fits.commissioning import Commissioned, as_bogie, commission
 from suspnet.trains.identification import commissioning_summary as words
-from suspnet.trains.identification.healthy_trips import HealthyTrips, read_healthy
+from suspnet.trains.identification.healthy_trips import HealthyTrips
 from suspnet.trains.recordings.errors import all_of
 from suspnet.trains.recordings.manifest import CHANNELS
 from suspnet.trains.sensors.lone_sensors import SIDE_M
@@ -68,25 +67,6 @@ def commission_trips(
     if hint := words.other_minutes(healthy, settings):
         log.info("%s", hint)
     return outcome
-
-
-def commission_folder(
-    folder: Path,
-    generator: ResponseGenerator,
-    settings: EstimateSettings,
-    trips: TripSettings,
-    *,
-    n_first: int | None = None,
-    progress: bool = False,
-) -> tuple[HealthyTrips, Commissioned]:
-    """Return the healthy trips of a folder and the vehicle that they show.
-
-    It takes and raises what `read_healthy` and `commission_trips` do.
-    """
-    own = check_generator(generator)
-    bound = settings.bound(own.vehicle)
-    healthy = read_healthy(folder, own, bound, trips, n_first=n_first, progress=progress)
-    return healthy, commission_trips(healthy, generator, settings, progress=progress)
 
 
 # one thread: systems of 30 equations are too small for two, and results are the same anywhere

@@ -9,9 +9,8 @@ from pathlib import Path
 from suspnet.ground.storage import write_json
 from suspnet.trains.history import History
 from suspnet.trains.history.database import check_exists
-from suspnet.trains.maintenance.fleet import fleet_state
 from suspnet.trains.maintenance.plan import plan_of
-from suspnet.trains.maintenance.state import State
+from suspnet.trains.maintenance.state import State, fleet_state
 from suspnet.trains.pages.board import BoardSettings
 from suspnet.trains.pages.maintenance_figures import plan_calendar
 from suspnet.trains.pages.output import write_fleet
@@ -51,7 +50,6 @@ def write_maintenance(history: History, folder: Path, settings: BoardSettings) -
             "severities": counts,
             "n_visits": len(planned.visits),
             "n_jobs": sum(len(visit.jobs) for visit in planned.visits),
-            "n_waiting": len(planned.waiting),
             "n_unknown": len(planned.unknown),
         },
     )

@@ -89,15 +89,13 @@ def direction_errors(
         weights = 1 / (half_widths[first] ** 2 + half_widths[second] ** 2)
         d = signs[first] * (logs[first] - logs[second])
     usable = np.isfinite(d) & np.isfinite(weights) & (weights > 0)
-    weights, d, ends = weights[usable], d[usable], second[usable]
-    most = MOST / np.sqrt(weights)
-    d = np.clip(d, -most, most)
+    weights, ends = weights[usable], second[usable]
+    d = np.clip(d[usable], -MOST / np.sqrt(weights), MOST / np.sqrt(weights))
     # sums over the pairs up to each one; n - 1 is not used where it is 0
     n, total = np.arange(1, len(d) + 1), np.cumsum(weights)
     mean = np.cumsum(weights * d) / total
     squares = np.maximum(np.cumsum(weights * d**2) - total * mean**2, 0.0)
     variance = squares / (np.maximum(n - 1, 1) * total)
-    errors = np.sqrt(np.maximum(mean**2 - variance, 0.0)) / 2
-    errors[: LEAST_PAIRS - 1] = 0.0
+    errors = np.where(n >= LEAST_PAIRS, np.sqrt(np.maximum(mean**2 - variance, 0.0)) / 2, 0.0)
     n_ended = np.searchsorted(ends, np.arange(len(logs)), side="right")
-    return np.asarray(np.concatenate([[0.0], errors])[n_ended])
+    return np.asarray(np.append(0.0, errors)[n_ended])

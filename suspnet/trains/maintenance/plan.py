@@ -32,8 +32,8 @@ URGENCIES = UNKNOWN, NOW, SOON, LATER = "unknown", "now", "soon", "later"
 """Urgencies of jobs: remaining life unknown, visit on the first possible day, visit to be decided
 on within ``SOON_DAYS``, any other visit."""
 SOON_DAYS = 30
-REPLACE, INSPECT, WAIT = "replace", "inspect", "plan again"
-"""What is done with a part; the last one if it has no visit before the horizon."""
+REPLACE, INSPECT = "replace", "inspect"
+"""What is done with a part."""
 NEVER = np.array([np.inf])
 """Samples of the remaining life of a part whose life is unknown."""
 WINDOW_DAYS = 180
@@ -154,12 +154,11 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """Work on one part at a visit, or the decision that the part waits.
+    """Work on one part at a visit, or a part of unknown remaining life without one.
 
-    `what` is replace, inspect, ``WAIT``, or "unknown" for a part of unknown remaining life without
-    a visit. `probability` is that of passing the limit before the visit, or before the horizon
-    without one; `passing_days` is the interval in which it is passed, in days from today, inf:
-    never. Both are NaN if the remaining life is unknown.
+    `what` is replace, inspect, or "unknown" without a visit. `probability` is that of passing the
+    limit before the visit; `passing_days` is the interval in which it is passed, in days from
+    today, inf: never. Both are NaN if the remaining life is unknown.
     """
 
     part: Part
@@ -208,9 +207,8 @@ class Plan:
     """Visits of a fleet until the horizon.
 
     `visits` are sorted: those for parts of unknown remaining life first, then by day. `unknown` are
-    parts without a visit whose remaining life is unknown, `waiting` those that may pass a limit
-    before the horizon, the likeliest first; `n_quiet` counts the other parts, which need nothing.
-    `level` is the probability of the interval ``Job.passing_days``. The mileage per day of trains
+    parts without a visit whose remaining life is unknown; `n_quiet` counts the other parts, which
+    need nothing before the horizon. `level` is the probability of the interval ``Job.passing_days``. The mileage per day of trains
     in `assumed` is assumed; the newest trip of those in `stale` is too old to plan by, so that the
     lives of their parts are unknown.
     """
@@ -219,20 +217,18 @@ class Plan:
     horizon: date
     unknown: tuple[Job, ...]
     visits: tuple[Visit, ...]
-    waiting: tuple[Job, ...]
     n_quiet: int
     assumed: tuple[Train, ...] = ()
     stale: tuple[Train, ...] = ()
     level: float = SHOWN_LEVEL
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return one flat row for each job; dates in ISO 8601, empty if there is none.
+        """Return one flat row for each job, unknown parts first, then by visit.
 
-        Unknown parts come first, then visits, then parts that wait.
+        Dates are in ISO 8601, empty if there is none.
         """
-        pairs = [(job, visit) for visit in self.visits for job in visit.jobs]
-        unknown, waiting = ([(job, None) for job in jobs] for jobs in (self.unknown, self.waiting))
-        return [self._row(job, visit) for job, visit in (*unknown, *pairs, *waiting)]
+        unknown = [self._row(job, None) for job in self.unknown]
+        return unknown + [self._row(job, visit) for visit in self.visits for job in visit.jobs]
 
     def _row(self, job: Job, visit: Visit | None) -> dict[str, Any]:
         part, km = job.part, visit.mileage_km if visit else np.nan
@@ -269,7 +265,6 @@ class Plan:
             visits=Finding("visits", n=len(self.visits)),
             jobs=Finding("jobs", n=sum(len(visit.jobs) for visit in self.visits)),
             day=self.horizon,
-            waiting=Finding("maybe-later", n=len(self.waiting)),
             quiet=Finding("need-nothing", n=self.n_quiet),
         )
         if self.unknown:
@@ -289,7 +284,7 @@ class Plan:
     def __str__(self) -> str:
         """Return the plan as a text table."""
         table, before = [], None
-        for row in joined(row for row in self.rows() if row["what"] != WAIT):
+        for row in joined(self.rows()):
             km = number(row["mileage_km"], 0) if row["day"] else ""
             visit = [row["train"], row["urgency"], row["day"], km]
             failure = "passed" if row["passed"] else f"{100 * row['probability']:.1f} %"
@@ -350,15 +345,14 @@ def make_plan(
 
     # trains do not share visits
     visits: list[Visit] = []
-    rest: list[Job] = []
+    unknown: list[Job] = []
+    n_quiet = 0
     for name, own in sorted(of_train.items()):
         calendar = _Calendar(named[name], settings, today)
         due = [(calendar.due_day(part), part) for part in map(calendar.as_known, own)]
-        rest += [
-            calendar.job(part, UNKNOWN if part.unknown else WAIT, settings.horizon_days)
-            for days, part in due
-            if days >= settings.horizon_days
-        ]
+        rest = [part for days, part in due if days >= settings.horizon_days]
+        unknown += [calendar.job(part, UNKNOWN, 0.0) for part in rest if part.unknown]
+        n_quiet += sum(not part.unknown for part in rest)
         left = [pair for pair in due if pair[0] < settings.horizon_days]
         while left:  # ends: the part that is due first is taken off
             day = min(days for days, _ in left)
@@ -367,10 +361,7 @@ def make_plan(
             left = [pair for pair in left if pair[0] > last]
 
     # what is not known first, then what is soonest or likeliest
-    unknown = sorted((job for job in rest if job.part.unknown), key=lambda job: job.part.place)
-    waiting = sorted(
-        (j for j in rest if not j.part.unknown and j.probability), key=lambda job: job.order
-    )
+    unknown.sort(key=lambda job: job.part.place)
     visits.sort(key=lambda visit: (visit.urgency_of(visit.jobs[0]) != UNKNOWN, visit.day))
     stale = tuple(train for train in trains if _is_stale(train, today))
     return Plan(
@@ -378,8 +369,7 @@ def make_plan(
         today + timedelta(days=settings.horizon_days),
         tuple(unknown),
         tuple(visits),
-        tuple(waiting),
-        len(rest) - len(unknown) - len(waiting),
+        n_quiet,
         tuple(train for train in trains if train.is_assumed and train not in stale),
         stale,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -28,7 +28,6 @@ from suspnet.trains.maintenance.sensors import LEAST, SensorTrend, sensor_trends
 
 NUMBERS = ("mileage_km", "healthy_since_km", "speed_m_per_s", "temperature_c", "direction")
 """Numeric columns of a series, in addition to those of each parameter."""
-TEXTS = ("trip", "sensors", "worn")
 N_LAST = 5
 """Number of the newest trips with an estimate that decide on a parameter."""
 
@@ -235,18 +234,15 @@ class Series:
 
     def equals(self, other: Series) -> bool:
         """Return whether all fields are equal, with NaN equal to NaN."""
-        mine, its = self._columns(), other._columns()
-        return (
-            (self.key, self.events, self.n_first) == (other.key, other.events, other.n_first)
-            and mine.keys() == its.keys()
-            and all(getattr(self, name).tolist() == getattr(other, name).tolist() for name in TEXTS)
-            and all(np.array_equal(mine[name], its[name], equal_nan=True) for name in mine)
-        )
+        return all(_same(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
 
-    def _columns(self) -> dict[str, NDArray[Any]]:
-        columns = {name: getattr(self, name) for name in ("start", "flagged", *NUMBERS)}
-        widths = {f"{name}_half_width": column for name, column in self.half_widths.items()}
-        return columns | self.estimates | widths
+
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
+    if isinstance(one, np.ndarray):
+        return np.array_equal(one, other, equal_nan=one.dtype.kind in "fM")
+    return bool(one == other)
 
 
 def car_of(series: Series) -> tuple[str, ...]:

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+import time
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from suspnet.ground.findings import Finding, parts_of, restored
-from suspnet.ground.parameters import BODY_MASS, Limits, Severity, kind_of
+from suspnet.ground.parameters import BODY_MASS, DEFAULT_LIMITS, Limits, Severity, kind_of
 from suspnet.ground.records import Key
 from suspnet.ground.types import FloatArray
-from suspnet.trains.maintenance.alarms import Alarm, Watched
+from suspnet.trains.maintenance.alarms import Alarm, Watched, watch
 from suspnet.trains.maintenance.assessment import (
     ONE_FLAGGED,
     Assessment,
@@ -25,6 +26,7 @@ from suspnet.trains.maintenance.assessment import (
     trend_of,
     worst_first,
 )
+from suspnet.trains.maintenance.change import ChangeSettings
 from suspnet.trains.maintenance.judge import LastTrips, judge_last, last_trips
 from suspnet.trains.maintenance.life import MIN_TRIPS, Life, predict_life
 from suspnet.trains.maintenance.sensors import IN_A_ROW
@@ -274,3 +276,75 @@ def trips_of_life(recent: Series, name: str) -> tuple[FloatArray, FloatArray, Fl
     if len(used) < MIN_TRIPS or km[used[-1]] <= km[used[0]]:
         return None
     return km[used], centre[used], np.where(np.isfinite(width), width, np.nan)[used]
+
+
+class FleetStates:
+    """Alarms and remaining lives of the suspensions of a fleet, each by its own trips.
+
+    `limits` maps vehicles to the limits of their parameters; a missing vehicle has
+    ``DEFAULT_LIMITS``. `seed` is that of the predicted lives.
+    """
+
+    def __init__(
+        self, limits: Mapping[str, Mapping[str, Limits]], changes: ChangeSettings, seed: int = 0
+    ) -> None:
+        self.limits = limits
+        self.changes = changes
+        self.seed = seed
+        self._states: dict[Key, State] = {}
+        self._waiting: set[Key] = set()
+
+    def keys(self) -> set[Key]:
+        """Return vehicle and place of each suspension."""
+        return set(self._states)
+
+    def update(self, several: Iterable[Series], gone: Collection[Key] = ()) -> set[Key]:
+        """Add or replace suspensions, remove those in `gone`, and recompute alarms.
+
+        Returns the keys of the suspensions whose alarms were recomputed, which are those whose
+        trips or maintenance changed.
+        """
+        for key in gone:
+            self._states.pop(key, None)
+            self._waiting.discard(key)
+        changed = set()
+        for series in several:
+            before = self._states.get(series.key)
+            if before is None or not before.series.equals(series):
+                limits = self.limits.get(series.vehicle, DEFAULT_LIMITS)
+                watched = watch(series, limits, self.changes)
+                self._states[series.key] = State(series, limits, watched)
+                changed.add(series.key)
+        self._waiting |= changed
+        return changed
+
+    def predict(self, seconds: float = np.inf) -> bool:
+        """Predict the remaining lives that are out of date.
+
+        It stops after `seconds` [s] and continues when called again. Returns whether all are up to
+        date.
+        """
+        end = time.monotonic() + seconds
+        for key in sorted(self._waiting, key=lambda key: (key[0], str(key[1]))):
+            self._states[key] = with_lives(self._states[key], self.seed)
+            self._waiting.discard(key)
+            if time.monotonic() > end:
+                break
+        return not self._waiting
+
+    def states(self) -> list[State]:
+        """Return the state of each suspension, by severity, then by remaining life."""
+        return by_urgency(self._states.values())
+
+
+def fleet_state(
+    several: Sequence[Series],
+    limits: Mapping[str, Mapping[str, Limits]],
+    settings: ChangeSettings,
+    seed: int = 0,
+) -> list[State]:
+    """Return the state of each suspension, most severe first; see ``FleetStates``."""
+    fleet = FleetStates(limits, settings, seed)
+    fleet.update(several)
+    fleet.predict()
+    return fleet.states()

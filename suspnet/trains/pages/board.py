@@ -17,9 +17,8 @@ from suspnet.ground.records import Key
 from suspnet.trains.history import History, HistoryError
 from suspnet.trains.maintenance.alarms import Watched
 from suspnet.trains.maintenance.change import ChangeSettings
-from suspnet.trains.maintenance.fleet import FleetStates
 from suspnet.trains.maintenance.plan import Plan, PlanSettings, plan_of
-from suspnet.trains.maintenance.state import State, by_urgency
+from suspnet.trains.maintenance.state import FleetStates, State, by_urgency
 from suspnet.trains.pages.overview import FleetView, fleet_view
 
 log = logging.getLogger(__name__)

@@ -68,7 +68,7 @@ def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
     for visit in plan.visits:
         visits[visit.train].append(visit)
         jobs[visit.train] += visit.jobs
-    for job in (*plan.unknown, *plan.waiting):
+    for job in plan.unknown:
         jobs[job.part.train].append(job)
     # the most urgent trains on top, as only the first of many are shown
     names = sorted(jobs, key=lambda name: _urgency(visits[name], jobs[name], name))
