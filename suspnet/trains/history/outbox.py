@@ -274,31 +274,27 @@ def _queue(
     """Queue the messages of a recipient that are due, and note what they contain."""
     # a row that is never sent says since when the recipient is known
     name, local = recipient.name, now.astimezone(zone)
-    is_first = not _has(connection, _digest(name, START))
-    if is_first:
-        _insert(connection, _digest(name, START), name, ("", ""), START, {}, now, is_sent=True)
+    is_first = _insert(connection, _digest(name, START), name, ("", ""), START, {}, now)
     # the id of a message follows from what it says, so that none is queued twice
     today = local.date().isoformat()
-    of_today = {to: _digest(_digest(name, "digest", today), *to) for to in recipient.targets}
+    of_today = _digest(name, "digest", today)
     is_due = recipient.digest is not None and local.time() >= recipient.digest
-    is_due = is_due and not any(_has(connection, number) for number in of_today.values())
+    is_due &= not any(_has(connection, _digest(of_today, *to)) for to in recipient.targets)
     urgent, listed = _chosen(connection, recipient, fleet, is_first, is_due)
-    n_queued = 0
+    messages: list[tuple[str, str, dict[str, Any]]] = []
     if urgent:
         about = _digest(name, "alarms", *sorted(entry["event"] for entry in urgent))
-        for to in recipient.targets:
-            number = _digest(about, *to)
-            if not _has(connection, number):
-                _insert(connection, number, name, to, "alarms", {"alarms": urgent}, now)
-                n_queued += 1
+        messages.append((about, "alarms", {"alarms": urgent}))
     if is_due:  # active alarms first, then the most severe
         listed.sort(key=lambda entry: (entry["end_km"] is not None, entry["severity"] != "act"))
         n_own = sum(recipient.is_about(key) for key in fleet.ids)
         content = {"day": today, "alarms": listed, "n_suspensions": n_own}
-        for to, number in of_today.items():
-            _insert(connection, number, name, to, "digest", content, now)
-            n_queued += 1
-    return n_queued
+        messages.append((of_today, "digest", content))
+    return sum(
+        _insert(connection, _digest(about, *to), name, to, kind, content, now)
+        for about, kind, content in messages
+        for to in recipient.targets
+    )
 
 
 def _chosen(
@@ -357,8 +353,10 @@ def _insert(
     kind: str,
     content: dict[str, Any],
     now: datetime,
-    is_sent: bool = False,
-) -> None:
+) -> bool:
+    """Queue a message unless it is queued already; return whether it is new."""
+    if _has(connection, number):
+        return False
     created = now.astimezone(UTC).isoformat(timespec="seconds")
     whole = {"id": number, "kind": kind, "recipient": recipient, "created": created} | content
     row = {
@@ -372,10 +370,11 @@ def _insert(
         "due_s": 0.0,
         "leased_s": 0.0,
         "attempts": 0,
-        "sent_s": now.timestamp() if is_sent else None,
+        "sent_s": now.timestamp() if kind == START else None,
         "error": "",
     }
     connection.execute(outbox.insert().values(row))
+    return True
 
 
 def _waiting() -> sql.ColumnElement[bool]:

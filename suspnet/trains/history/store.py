@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, astuple
 from datetime import UTC, datetime
@@ -165,8 +165,16 @@ class History:
 
     def read(self, vehicle: str, place: Place) -> list[TripResult]:
         """Return the trips of a suspension by mileage; empty if there are none."""
+        columns = [column for column in trips.columns if column.name != "key"]
+        chosen = sql.select(*columns).join(suspensions).where(is_of(vehicle, place))
+        results = []
         with self._reading() as connection:
-            return self._trips(connection, vehicle, place, sql.true())
+            for row in connection.execute(chosen).mappings():
+                try:
+                    results.append(result_of((vehicle, place), row))
+                except ValueError as error:
+                    self.bad_rows.append(bad_row(trips, row, error, (vehicle, place)))
+        return sorted(results, key=lambda r: (math.isnan(r.mileage_km), r.mileage_km, r.trip))
 
     def series(self, keys: Iterable[Key] | None = None) -> list[Series]:
         """Return the trips of all suspensions as arrays, sorted by vehicle and place.
@@ -191,51 +199,12 @@ class History:
         `results`, which have just been stored. If one of these has no start, others of its name and
         mileage are the same trip and left out.
         """
-
-        def series(connection: Connection, where: sql.ColumnElement[bool]) -> Series | None:
-            several = read_series(connection, self.bad_rows, {(vehicle, place)}, where)
-            return next(iter(several), None)
-
-        return self._comparable(series, is_of(vehicle, place), references, results)
-
-    def comparable_trips(
-        self,
-        vehicle: str,
-        place: Place,
-        references: Sequence[Reference],
-        results: Sequence[TripResult] = (),
-    ) -> tuple[list[TripResult], int]:
-        """Return what ``comparable`` does, but the trips with all that is stored of them."""
-
-        def found(connection: Connection, where: sql.ColumnElement[bool]) -> list[TripResult]:
-            return self._trips(connection, vehicle, place, where)
-
-        return self._comparable(found, is_of(vehicle, place), references, results)
-
-    def _comparable(
-        self,
-        read: Callable[[Connection, sql.ColumnElement[bool]], Any],
-        of: sql.ColumnElement[bool],
-        references: Sequence[Reference],
-        results: Sequence[TripResult],
-    ) -> tuple[Any, int]:
         fitting, others = comparable(references, results)
-        count = sql.select(sql.func.count(trips.c.id)).join(suspensions).where(of, others)
+        own = sql.select(sql.func.count(trips.c.id)).join(suspensions)
+        count = own.where(is_of(vehicle, place), others)
         with self._reading() as connection:
-            return read(connection, fitting), int(connection.execute(count).scalar_one())
-
-    def _trips(
-        self, connection: Connection, vehicle: str, place: Place, where: sql.ColumnElement[bool]
-    ) -> list[TripResult]:
-        columns = [column for column in trips.columns if column.name != "key"]
-        chosen = sql.select(*columns).join(suspensions).where(is_of(vehicle, place), where)
-        results = []
-        for row in connection.execute(chosen).mappings():
-            try:
-                results.append(result_of((vehicle, place), row))
-            except ValueError as error:
-                self.bad_rows.append(bad_row(trips, row, error, (vehicle, place)))
-        return sorted(results, key=lambda r: (math.isnan(r.mileage_km), r.mileage_km, r.trip))
+            several = read_series(connection, self.bad_rows, {(vehicle, place)}, fitting)
+            return next(iter(several), None), int(connection.execute(count).scalar_one())
 
     def responses(self, vehicle: str, place: Place) -> list[TripResponses]:
         """Return the stored transfer functions of a suspension by mileage.

@@ -53,5 +53,5 @@ def write_maintenance(history: History, folder: Path, settings: BoardSettings) -
             "n_unknown": len(planned.unknown),
         },
     )
-    log.info("%s\n\n%s\n-> %s", overview_table(view.rows), planned, folder)
+    log.info("%s\n\n%s\n-> %s", overview_table(view.rows), planned.summary, folder)
     return states

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Limits, Severity
-from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm, Watched, alarm_table, watch
+from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm, Watched, watch
 from suspnet.trains.maintenance.change import Change, Changes, ChangeSettings, find_changes
 from suspnet.trains.maintenance.cusum import cusum, residuals, threshold
 from suspnet.trains.maintenance.life import Life, predict_life
@@ -30,7 +30,6 @@ __all__ = [
     "State",
     "Train",
     "Watched",
-    "alarm_table",
     "cusum",
     "find_changes",
     "make_plan",

@@ -8,12 +8,10 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 
 import numpy as np
-from tabulate import tabulate
 
 from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import BODY_MASS, Cause, Limits, Severity
 from suspnet.ground.types import BoolArray, FloatArray
-from suspnet.ground.wording import kilometres
 from suspnet.trains.maintenance.change import Change, Changes, ChangeSettings, find_changes
 from suspnet.trains.maintenance.judge import beyond_words, judge, level_words
 from suspnet.trains.maintenance.series import N_LAST, Series
@@ -256,22 +254,6 @@ def _windows(column: FloatArray | BoolArray, fill: float | bool, size: int = N_L
     """Return the last `size` trips up to each trip, newest last, (n_trips, `size`)."""
     padded = np.concatenate([np.full(size - 1, fill), column])
     return np.lib.stride_tricks.sliding_window_view(padded, size)
-
-
-def alarm_table(alarms: list[Alarm]) -> str:
-    """Return alarms as a table for a terminal."""
-    rows = [
-        [
-            str(alarm.severity),
-            alarm.parameter,
-            alarm.cause,
-            kilometres(alarm.begin_km),
-            "now" if alarm.is_open else kilometres(alarm.end_km),
-            alarm.words,
-        ]
-        for alarm in alarms
-    ]
-    return tabulate(rows, ["severity", "of", "cause", "since", "until", "why"], tablefmt="github")
 
 
 def detector_words(changes: Changes, settings: ChangeSettings) -> str:

@@ -18,13 +18,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tabulate import tabulate
 
 from suspnet.ground.findings import Finding, together
-from suspnet.ground.parameters import ESTIMATED, Severity, condensed, part_words
+from suspnet.ground.parameters import ESTIMATED, Severity, part_words
 from suspnet.ground.settings import check_number, check_settings, setting
 from suspnet.ground.types import FloatArray
-from suspnet.ground.wording import number, thousands
+from suspnet.ground.wording import thousands
 from suspnet.trains.maintenance.life import SHOWN_LEVEL
 from suspnet.trains.maintenance.state import State
 
@@ -208,9 +207,9 @@ class Plan:
 
     `visits` are sorted: those for parts of unknown remaining life first, then by day. `unknown` are
     parts without a visit whose remaining life is unknown; `n_quiet` counts the other parts, which
-    need nothing before the horizon. `level` is the probability of the interval ``Job.passing_days``. The mileage per day of trains
-    in `assumed` is assumed; the newest trip of those in `stale` is too old to plan by, so that the
-    lives of their parts are unknown.
+    need nothing before the horizon. `level` is the probability of the interval
+    ``Job.passing_days``. The mileage per day of trains in `assumed` is assumed; the newest trip of
+    those in `stale` is too old to plan by, so that the lives of their parts are unknown.
     """
 
     today: date
@@ -280,26 +279,6 @@ class Plan:
             names, km_per_day = _names(self.assumed), self.assumed[0].km_per_day
             sentences.append(Finding("plan-assumed", names=names, km_per_day=km_per_day))
         return together(sentences, " ")
-
-    def __str__(self) -> str:
-        """Return the plan as a text table."""
-        table, before = [], None
-        for row in joined(self.rows()):
-            km = number(row["mileage_km"], 0) if row["day"] else ""
-            visit = [row["train"], row["urgency"], row["day"], km]
-            failure = "passed" if row["passed"] else f"{100 * row['probability']:.1f} %"
-            car = f"car {row['car']}" if row["car"] else ""
-            parts = map(part_words, condensed(row["parameters"]))
-            what = "" if row["what"] == UNKNOWN else f"{row['what']} "
-            what += ", ".join(filter(None, (car, row["suspension"], *parts)))
-            if row["unknown"]:
-                what, failure = f"{what}: {row['unknown']}", UNKNOWN
-            # a visit is named once, before its first job
-            table.append([*(visit if visit != before else [""] * len(visit)), what, failure])
-            before = visit
-        head = ("train", "urgency", "latest", "at km", "what", "failure before")
-        lines = tabulate(table, head, tablefmt="github", disable_numparse=True) if table else ""
-        return "\n".join(filter(None, (self.summary, lines)))
 
 
 def _names(trains: Sequence[Train]) -> str:

@@ -100,11 +100,22 @@ def with_earlier(
     """
     vehicle = models[0].vehicle.name
     store.write(_kept(results, vehicle))
-    fitting, n_others = store.comparable_trips(vehicle, place, _references(models), results)
+    series, n_others = store.comparable(vehicle, place, _references(models), results)
     if n_others:
         log.warning("%s", LEFT_OUT.format(store, n_others, place))
+    if series is None:
+        return list(results)
+    fitting = set(zip(series.trip.tolist(), map(str, series.mileage_km.tolist()), strict=True))
     now = {key(r) for r in results for key in (trip_key, undated_key)}
-    return [*results, *(r for r in fitting if trip_key(r) not in now)]
+    undated = {trip_key(r) for r in results if not r.start}
+    earlier = [
+        r
+        for r in store.read(vehicle, place)
+        if (r.trip, str(r.mileage_km)) in fitting
+        and trip_key(r) not in now
+        and undated_key(r) not in undated
+    ]
+    return [*results, *earlier]
 
 
 def keep_trips(
