@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from suspnet.trains.maintenance.trend import trend
 from trip_records import SPREAD
 
 from suspnet.ground.parameters import (
@@ -20,9 +19,11 @@ from suspnet.ground.parameters import (
     limits_words,
     read_limits,
 )
-from suspnet.trains.maintenance.assessment import assess, overall
-from suspnet.trains.maintenance.judge import judge, last_trips
+from suspnet.trains.maintenance.alarms import watch
+from suspnet.trains.maintenance.assessment import overall
+from suspnet.trains.maintenance.judge import judge
 from suspnet.trains.maintenance.series import N_LAST, make_series
+from suspnet.trains.maintenance.state import State
 from suspnet.trains.simulation.fleet import Scenario
 from suspnet.vehicle import PARAMETERS
 
@@ -114,8 +115,9 @@ def test_no_failure_at_the_end_is_missed_whatever_the_number_of_trips_and_the_pl
 
 def assessed(km, values, half_width, parameter):
     widths = np.broadcast_to(half_width, len(km))
-    last = last_trips(make_series(km, {parameter: values}, {parameter: widths}), parameter)
-    return assess(trend(parameter, km, values), last, DEFAULT_LIMITS[parameter])
+    trips, limits = make_series(km, {parameter: values}, {parameter: widths}), DEFAULT_LIMITS
+    found = State(trips, limits, watch(trips, limits)).assessments
+    return next(one for one in found if one.parameter == parameter)
 
 
 @pytest.mark.every_value

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, norm
 
-from suspnet.trains.maintenance.first_passage import FUTURE, changing_passage_km, first_passage_km
+from suspnet.trains.maintenance.life import FUTURE, changing_passage_km, first_passage_km
 from suspnet.trains.maintenance.noise import UNIT_KM
 
 # reference
@@ -47,9 +47,7 @@ def test_passage_of_a_changing_rate_is_that_of_small_steps():
     n, rate, spread, upper = 4_000, 0.04, 0.02, 0.3
     rng = np.random.default_rng(6)
     mean = np.broadcast_to(rate * FUTURE, (n, FUTURE.size))
-    found = changing_passage_km(
-        mean, np.full(n, -np.inf), np.full(n, upper), np.full(n, spread), rng
-    )
+    found = changing_passage_km(mean, -np.inf, upper, np.full(n, spread), rng)
     dt = 0.01
     rates = rate + spread * np.sqrt(dt) * np.cumsum(rng.normal(size=(1_000, 2_000)), axis=1)
     values = np.cumsum(rates, axis=1) * dt
