@@ -326,8 +326,8 @@ def test_any_numbers_give_trips_in_order(data):
         ({"widths": {"k_p": np.ones(29)}}, r"`widths` must have 30 trips each"),
         ({"usable": np.ones(29, bool)}, r"`usable` must have 30 trips each"),
         ({"values": {}}, "one parameter at least"),
-        ({"mileage_km": 3.0}, "`mileage_km` must have one dimension"),
-        ({"mileage_km": np.ones((30, 1))}, "`mileage_km` must have one dimension"),
+        ({"mileage_km": 3.0}, "`mileage_km` one dimension"),
+        ({"mileage_km": np.ones((30, 1))}, "`mileage_km` one dimension"),
         ({"mileage_km": -np.arange(30.0)}, "`mileage_km` must ascend"),
     ],
 )

@@ -170,10 +170,6 @@ def test_notice_without_a_predicted_passing_is_looked_at_in_time_and_in_company(
     assert [len(visit.jobs) for visit in joined.visits] == [2]
     predicted = planned(part(100_000.0, "left", Severity.NOTICE))
     assert predicted.visits[0].day == TODAY + timedelta(days=199)
-    hasty = planned(
-        part([NEVER], "left", Severity.NOTICE), settings=replace(SETTINGS, notice_days=1)
-    )
-    assert hasty.visits[0].urgency == "now"
 
 
 @examples(max_examples=12, deadline=None)

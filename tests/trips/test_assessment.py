@@ -6,6 +6,7 @@ from itertools import cycle, product
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from suspnet.ground.findings import Finding, parts_of
 from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
@@ -19,6 +20,7 @@ from suspnet.trains.maintenance.assessment import (
     assess,
     overall,
     spoken,
+    step_words,
     worst_first,
 )
 from suspnet.trains.maintenance.change import Changes
@@ -29,7 +31,7 @@ from suspnet.trains.maintenance.state import State
 LIMITS = DEFAULT_LIMITS["k_s"]
 N_TRIPS = 40
 KM = 1e4 * np.arange(1, N_TRIPS + 1)
-FELL = Alarm("k_s", Cause.CHANGE, Severity.NOTICE, 3e5, words=Finding("fell", percent=3.5, km=3e5))
+FELL = Finding("fell", percent=3.5, km=3e5)
 SHORT = Changes(n_reference=4, n_needed=20, why_not="4 of 20 trips")
 ENDINGS = {
     "within": [1.0, 1.0, 1.0, 1.0, 1.0],
@@ -45,7 +47,7 @@ FLAGS = {"none": [], "newest": [4], "three": [2, 3, 4], "all": [0, 1, 2, 3, 4]}
 
 def made_up(change, first, last, flagged=0):
     """Return what an assessment rests on; `change` is none, lasting, or not looked for yet."""
-    lasting = FELL if change == "lasting" else None
+    lasting = FELL if change == "lasting" else ""
     median = float(np.median(last.values))
     numbers = (first, median, 100 * (median - first), 0.2, 5)
     trend = ParameterTrend("k_s", 30, *numbers, flagged_last=flagged, changed=bool(lasting))
@@ -151,6 +153,11 @@ NOTICE = "last-trip-beyond above-notice-limit too-few-lasting"
             {"n": 1, "n_last": 5, "km": 390e3},
         ),
         (read(ends_with(1.07)), "none", "no-change last-trip-at", {"percent": 107}),
+        (
+            read(np.where(KM[:12] < 75_000, 1, 0.99)),
+            *("none", "within-limits-words fell", {"km": 75e3, "percent": 1.0}),
+        ),
+        (read(np.where(KM[:12] == 75_000, 0.99, 1)), "none", "too-few-to-find", {"n_trips": 12}),
         (read(ONES[:4]), "none", "too-few-to-find", {"n_trips": 4, "n_needed": 20}),
         (read(ends_with(3.0), flagged=[39]), "notice", f"flagged-trip {NOTICE}", {"limit": 110}),
         (read(ends_with(1.3), half=np.nan), "notice", f"without-interval {NOTICE}", {}),
@@ -203,6 +210,27 @@ def test_parameter_without_limits_raises_no_alarm():
     assert (found.severity, found.limited) == (Severity.NONE, False)
     assert found.words.startswith("fell by 3.5 % at about")
     assert overall([found])[1] == "No parameter has limits; 1 of 1 parameters changed:"
+
+
+def test_step_is_the_best_split_by_students_t():
+    """Every split by SciPy's test; half of the series have a step of three standard deviations."""
+    rng, n_found = np.random.default_rng(7), 0
+    for i in range(40):
+        n = int(rng.integers(10, 20))
+        values = 1 + 0.01 * rng.normal(size=n) + 0.03 * (i % 2) * (np.arange(n) >= n // 2)
+        splits = {k: stats.ttest_ind(values[:k], values[k:]).pvalue for k in range(3, n - 2)}
+        best = min(splits, key=splits.get)
+        change = np.median(values[best:]) / np.median(values[:best]) - 1
+        is_step = splits[best] * len(splits) < 0.01 and abs(change) > 0.01
+        words = step_words(KM[:n], values, 0.5)
+        assert bool(words) == is_step
+        if words:
+            n_found += 1
+            assert words.kind == ("fell" if change < 0 else "rose")
+            assert words.values["percent"] == pytest.approx(100 * abs(change))
+            assert words.values["km"] == KM[best - 1 : best + 1].mean()
+    assert 5 < n_found < 25
+    assert step_words(KM[:9], np.repeat([1.0, 2.0], [4, 5]), 0.0) == ""
 
 
 # the sentence on all parameters

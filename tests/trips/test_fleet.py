@@ -509,7 +509,6 @@ def test_level_and_flags_are_counted(manifests, model, no_figures, monkeypatch, 
     n = len(model.intervals.conformal.scores)
     assert metrics["details"]["intervals"].startswith(f"95 %, calibrated on {n} simulated curves")
     assert metrics["details"]["healthy is"].endswith("(k and c), 1 of them flagged")
-    assert metrics["trends"][0]["words"].endswith("; 1 of the first 3 trips is flagged")
 
 
 def test_model_without_calibration_gives_no_intervals(manifests, model, no_figures, tmp_path):

@@ -7,9 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy import stats
 
 from suspnet.ground.findings import Finding, kind_is, percent, together
 from suspnet.ground.parameters import BODY_MASS, Cause, Limits, Severity
+from suspnet.ground.types import FloatArray
 from suspnet.trains.maintenance.alarms import Alarm
 from suspnet.trains.maintenance.change import Changes
 from suspnet.trains.maintenance.judge import (
@@ -24,6 +26,10 @@ from suspnet.trains.maintenance.life import Life
 from suspnet.trains.maintenance.noise import robust_spread
 from suspnet.trains.maintenance.series import N_LAST, Series
 
+LEVEL, MULTIPLE, LEAST_PERCENT = 0.01, 2.0, 0.1
+"""A step counts at this level, if it exceeds this multiple of the spread and this size [%]."""
+LEAST_SIDE = 3
+"""Fewest trips on each side of a step: one outlier is none."""
 ONE_FLAGGED = "the only trip is flagged"
 LARGE_PERCENT = 10.0
 """Least difference from healthy, in %, for which the text gives the level."""
@@ -43,8 +49,7 @@ class ParameterTrend:
     `n_trips` with an estimate, relative to healthy, `change_percent` their difference, which counts
     from `n_needed` trips on, `spread_percent` the robust standard deviation of the trips about the
     local trend, both in % of healthy. `flagged_last` of the last `n_ends` trips are flagged.
-    `changed` is whether the detector of ``find_changes`` has found a change that lasts; always
-    false for the car-body mass.
+    `changed` is whether a change has been found that lasts; always false for the car-body mass.
     """
 
     parameter: str
@@ -59,7 +64,7 @@ class ParameterTrend:
     changed: bool = False
 
 
-def trend_of(series: Series, name: str, *, changed: bool = False) -> ParameterTrend:
+def trend_of(series: Series, name: str) -> ParameterTrend:
     """Return the trend of a parameter from the trips with a mileage.
 
     The spread is about the mean of each trip's neighbours, a deviation with 1.5 times the variance
@@ -80,8 +85,30 @@ def trend_of(series: Series, name: str, *, changed: bool = False) -> ParameterTr
         100 * robust_spread(values[1:-1] - (values[:-2] + values[2:]) / 2, 1.5),
         n_ends,
         flagged_last=int(flagged[len(values) - n_ends :].sum()),
-        changed=changed,
     )
+
+
+def step_words(mileage_km: FloatArray, values: FloatArray, spread_percent: float) -> str:
+    """Return where trips that are too few for ``find_changes`` have a step; empty without one.
+
+    It is the split into two levels with the least sum of squares, significant by Student's t test
+    with Bonferroni's correction for the number of splits. Trips are by mileage; NaN: no estimate.
+    """
+    done = np.isfinite(mileage_km) & np.isfinite(values)
+    km, values = mileage_km[done], values[done]
+    n, splits = len(values), np.arange(LEAST_SIDE, len(values) - LEAST_SIDE + 1)
+    if n < 2 * N_LAST:
+        return ""
+    centred = values - values.mean()
+    between = np.cumsum(centred)[splits - 1] ** 2 * n / (splits * (n - splits))
+    at, within = int(splits[between.argmax()]), max(centred @ centred - between.max(), 1e-300)
+    t = math.sqrt(between.max() / within * (n - 2))
+    percent = 100 * (float(np.median(values[at:]) / np.median(values[:at])) - 1)
+    is_large = abs(percent) > max(MULTIPLE * spread_percent, LEAST_PERCENT)
+    if not is_large or 2 * stats.t.sf(t, n - 2) * len(splits) >= LEVEL:
+        return ""
+    kind, about = "fell" if percent < 0 else "rose", (km[at - 1] + km[at]) / 2
+    return Finding(kind, percent=abs(percent), km=about)
 
 
 @dataclass(frozen=True)
@@ -119,17 +146,23 @@ class Evidence:
     """What the assessment of one parameter rests on.
 
     `limits` None means that no value is alarming, as for M_s. `alarms` are the active ones of the
-    parameter, `lasting` that of its change that lasts, `changes` the state of the detector. `doubt`
-    is why the limits cannot be applied, empty if they can.
+    parameter, `lasting` says how it has changed for good, `changes` is the state of the detector.
+    `doubt` is why the limits cannot be applied, empty if they can.
     """
 
     trend: ParameterTrend
     last: LastTrips
     limits: Limits | None
     alarms: Sequence[Alarm] = ()
-    lasting: Alarm | None = None
+    lasting: str = ""
     changes: Changes = field(default_factory=Changes)
     doubt: str = ""
+
+    @property
+    def is_short(self) -> bool:
+        """Whether the trips are too few to find a change, or the detector has not looked yet."""
+        is_unseen = not self.changes.n_needed and self.trend.n_trips < self.trend.n_needed
+        return bool(self.changes.why_not) or is_unseen
 
 
 def assess(of: Evidence) -> Assessment:
@@ -139,12 +172,12 @@ def assess(of: Evidence) -> Assessment:
     # an alarm that the last trips alone do not explain comes first
     worst = max(of.alarms, key=lambda alarm: (alarm.severity, -alarm.begin_km), default=None)
     if worst is not None and worst.severity > judge_last(of.last, of.limits)[0]:
-        is_said = worst.cause == Cause.CHANGE and of.lasting is not None
+        is_said = worst.cause == Cause.CHANGE and bool(of.lasting)
         since = Finding("alarm-since", words=words if is_said else worst.words, km=worst.begin_km)
         words = since if is_said else together((since, words))
     if of.doubt and of.limits is not None:
         words = together((of.doubt, words))
-    return Assessment(of.trend, severity, words, of.limits is not None, not of.changes.why_not)
+    return Assessment(of.trend, severity, words, of.limits is not None, not of.is_short)
 
 
 def severity_of(
@@ -224,8 +257,7 @@ def _words(of: Evidence) -> str:
         why = ALL_FLAGGED if of.last.all_flagged else Finding("all-last-flagged", n=n_last)
         if of.last.all_flagged and n_last == 1:
             why = ONE_FLAGGED
-        lasting = [of.lasting.words] if of.lasting else []
-        return together([Finding("not-judged", why=why), *lasting])
+        return together([Finding("not-judged", why=why), of.lasting])
     else:
         clauses = _calm(of)
     flags = []
@@ -275,12 +307,12 @@ def _development(of: Evidence, judged: Judged, limits: Limits) -> list[str]:
     """Return how the parameter reached its level, for a severity above none."""
     trend, side = of.trend, int(judged.side)
     if of.lasting:
-        return [of.lasting.words]
+        return [of.lasting]
     if side * (trend.first_median - limits.notice[(side + 1) // 2]) > 0:
         return [Finding("since-first-trips")]
-    if of.changes.why_not and trend.n_ends:
+    if of.is_short and trend.n_ends:
         return [Finding("first-trips", n=trend.n_ends, percent=100 * trend.first_median)]
-    if of.changes.why_not or judged.severity == Severity.UNKNOWN:
+    if of.is_short or judged.severity == Severity.UNKNOWN:
         return []
     if judged.run and judged.count < N_CONFIRMING:
         return [Finding("too-few-lasting")]
@@ -291,10 +323,9 @@ def _calm(of: Evidence) -> list[str]:
     """Return how the parameter develops if no limit is crossed or there are no limits."""
     trend, values, limits = of.trend, of.last.values, of.limits
     median, scatter = float(np.median(values)), 3 * float(np.nan_to_num(trend.spread_percent))
-    is_short = bool(of.changes.why_not) or math.isnan(trend.spread_percent)
     if of.lasting:
-        change = of.lasting.words
-    elif is_short:
+        change = of.lasting
+    elif of.is_short:
         n_trips = of.changes.n_reference if of.changes.n_needed else trend.n_trips
         n_needed = of.changes.n_needed or trend.n_needed
         change = Finding("too-few-to-find", n_trips=n_trips, n_needed=n_needed)
@@ -309,7 +340,7 @@ def _calm(of: Evidence) -> list[str]:
         words = [Finding("within-limits-words", words=change) if limits else change]
     elif abs(100 * (median - 1)) > max(LARGE_PERCENT, scatter):
         words = [Finding("within-limits-words", words=level) if limits else level, change]
-    elif is_short and limits:
+    elif of.is_short and limits:
         words = ["within its limits", change]
     # single trips that the median hides
     if abs(100 * (values[-1] - median)) > max(REPORTED_PERCENT, scatter):

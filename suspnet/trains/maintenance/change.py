@@ -117,15 +117,12 @@ def find_changes(
 ) -> Changes:
     """Return the changes of the parameters of one suspension since its last maintenance.
 
-    Each trip's log parameters are compared with a reference of the first trips and of later ones
-    that are more than ten trips old (``residuals``). A CUSUM of the pre-whitened deviations raises
-    an alarm at the ``threshold`` for a false-alarm rate that all parameters share. The rate per
-    trip follows from the mean spacing of the latest trips, as many as the reference has: later
-    trips change neither whether nor when an alarm is raised. If the interval of a trip is wider
-    than the median one of the reference, its deviation is divided by their ratio.
-
-    A change has ended when the median deviation of ``N_BACK`` trips is below ``BACK`` times its
-    size; more trips are needed if their mean is uncertain compared with that size (``SURE``). The
+    A CUSUM of each parameter's deviations from earlier trips (``residuals``) raises an alarm at the
+    ``threshold`` for a false-alarm rate that all parameters share. The rate per trip follows from
+    the mean spacing of the latest trips, so that later ones change neither whether nor when an
+    alarm is raised. If the interval of a trip is wider than the median one of the reference, its
+    deviation is divided by their ratio. A change has ended when the median deviation of ``N_BACK``
+    trips is below ``BACK`` times its size, of more trips if their mean is uncertain (``SURE``). The
     detector then starts again without the trips of the change.
 
     Parameters
@@ -135,9 +132,8 @@ def find_changes(
     values : mapping from parameter to array of shape (n_trips,), [-]
         Relative to healthy; NaN: no estimate.
     covariates : mapping from name to array of shape (n_trips,)
-        For example payload, speed and temperature. A covariate is ignored if, in the reference, it
-        is constant, a linear combination of the others, or missing for a trip. Later trips that
-        lack a covariate in use are not judged.
+        Ignored if, in the reference, constant, a linear combination of the others, or missing for a
+        trip. Later trips that lack a covariate in use are not judged.
     settings : ChangeSettings
     usable : bool array of shape (n_trips,), optional
         Trips to use, such as those without flags. All by default.
@@ -152,7 +148,14 @@ def find_changes(
     km, widths = np.asarray(mileage_km, dtype=float), widths or {}
     marks = {} if usable is None else {"usable": usable}
     columns = {"values": values, "covariates": covariates, "widths": widths, "usable": marks}
-    _check_shapes(km, columns)
+    if not values or km.ndim != 1:
+        raise ValueError("`values` must have one parameter at least, `mileage_km` one dimension")
+    for what, several in columns.items():
+        for name, column in several.items():
+            if np.shape(column) != km.shape:
+                raise ValueError(
+                    f"`{what}` must have {len(km)} trips each, got {np.shape(column)} for {name}"
+                )
     if (np.diff(km[np.isfinite(km)]) < 0).any():
         raise ValueError("`mileage_km` must ascend")
     # a trip counts for all parameters or for none
@@ -182,19 +185,6 @@ def find_changes(
     n_unlike = n_lacking + int((rest.leverage > 1).any(axis=-1).sum())
     limit = float(judged.limits[-1])
     return Changes(by_parameter, used_names, len(trips), needed, limit, n_unlike)
-
-
-def _check_shapes(km: FloatArray, columns: Mapping[str, Mapping[str, ArrayLike]]) -> None:
-    if not columns["values"]:
-        raise ValueError("`values` must have one parameter at least")
-    if km.ndim != 1:
-        raise ValueError(f"`mileage_km` must have one dimension, got {km.ndim}")
-    for what, several in columns.items():
-        for name, column in several.items():
-            if np.shape(column) != km.shape:
-                raise ValueError(
-                    f"`{what}` must have {len(km)} trips each, got {np.shape(column)} for {name}"
-                )
 
 
 @dataclass(frozen=True)

@@ -67,16 +67,13 @@ def residuals(values: FloatArray, covariates: FloatArray, n_reference: int) -> R
     - phi is the posterior mean, with equal prior weights on 0 to ``MAX_CORRELATION``, given the
       first autocorrelation of the least-squares residuals, whose bias is -(1 + 3 phi) / j and
       whose variance is (1 - phi^2) / j;
-    - b and the variance s^2 of e follow from least squares on x_t - phi x_(t-1), with s^2 at least
-      j / nu times the square of ``LEAST_SPREAD``;
-    - z, the ratio of e_t to its standard deviation including the uncertainty of b, follows
-      Student's t and is transformed to a standard normal by
-      z (1 - 1 / (4 nu)) / sqrt(1 + z^2 / (2 nu)), with nu = j - 1 minus the length of x (Abramowitz
-      and Stegun, 26.7.8).
+    - b and the variance s^2 of e follow from least squares on x_t - phi x_(t-1);
+    - z, e_t over its standard deviation including the uncertainty of b, follows Student's t with
+      nu = j - 1 minus the length of x degrees of freedom and is made normal by
+      z (1 - 1 / (4 nu)) / sqrt(1 + z^2 / (2 nu)) (Abramowitz and Stegun, 26.7.8).
 
     A later trip with abs(z) above ``CLIP`` never joins the reference, where one outlier would hide
-    changes: its x and y are set to zero and it does not count in j. A lasting change of that size
-    has already raised an alarm.
+    changes: a lasting change of that size has already raised an alarm.
 
     `values` is (n_trips, ...), `covariates` (n_trips, ..., n_covariates), where n_covariates may
     be 0. ValueError is raised if `n_reference` is below 8 or n_covariates + 4, or the covariates of
@@ -154,13 +151,11 @@ def threshold(rate: float, n_reference: int, correlation: float = 0.5, seed: int
     """Return the threshold of ``cusum``, [standard deviations], for a rate of false alarms.
 
     ``N_SIMULATED`` healthy histories, each with its own reference, are drawn from a normal
-    autoregressive process. The rate counts first false alarms per monitored trip, and holds over
-    each of ``HORIZONS``. The CUSUM of standardised residuals does not depend on the level and
-    spread of the trips, so this is a parametric bootstrap for any suspension. It uses the least
-    favourable correlation, because `n_reference` trips do not determine their own well enough. The
-    threshold is at least ``CLIP``, so that no trip raises an alarm alone. Rates too small for the
-    simulation are extrapolated: the log rate falls linearly with the threshold, with the slope of
-    the last decade simulated, which is flatter than the exp(-2 k h) of a known level.
+    autoregressive process: a parametric bootstrap for any suspension, as standardised residuals
+    depend on neither level nor spread. The rate counts first false alarms per monitored trip, over
+    each of ``HORIZONS``. The threshold is at least ``CLIP``, so that no trip raises an alarm alone.
+    Rates too small for the simulation are extrapolated with the slope of the last decade simulated,
+    which is flatter than the exp(-2 k h) of a known level.
 
     `rate` is per trip, `n_reference` at least 8, `correlation` the largest expected correlation of
     successive trips, up to ``MAX_CORRELATION``. ValueError is raised if one is out of range.

@@ -11,8 +11,7 @@ Half of the part of m beyond its noise is the standard deviation of an error tha
 
     e^2 = max(m^2 - v, 0) / 4,    (half width)^2 = h^2 + (z e)^2.
 
-e of a trip is of the pairs up to this trip, so that later trips do not change its interval. Where
-the first trip of every pair ran in one direction, m includes the wear from one trip to the next.
+e of a trip is of the pairs up to this trip, so that later trips do not change its interval.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 A part is due on the last day on which the probability that its limit is passed is at most the
 accepted risk; with an alarm "act" it is due on the first possible day, with a notice at the latest
-after `notice_days`. The first due part of a train sets the day of a visit, and all parts that are
+after ``NOTICE_DAYS``. The first due part of a train sets the day of a visit, and all parts that are
 due within `bundle_days` after it are done at it. A part that is more likely than not to pass its
-limit within `reach_km` after the visit is replaced, any other one is inspected.
+limit within ``REACH_KM`` after the visit is replaced, any other one is inspected.
 """
 
 from __future__ import annotations
@@ -40,6 +40,10 @@ WINDOW_DAYS = 180
 older, its wear and mileage count as unknown."""
 LEAST_DAYS = 14
 """Fewest days that the trips must span to determine the mileage per day of a train."""
+REACH_KM = 50_000.0
+"""Mileage after a visit within which a part that is likely to pass its limit is replaced."""
+NOTICE_DAYS = 90.0
+"""Days within which a notice is inspected if no limit is predicted to be passed."""
 MOST_NAMED = 3
 """Largest number of trains that a sentence names."""
 
@@ -54,13 +58,6 @@ class PlanSettings:
     bundle_days: float = setting(
         90.0, "Days by which a job comes earlier to share the visit of another one", "days", low=0
     )
-    reach_km: float = setting(
-        50_000.0,
-        "Mileage after a visit within which a part must be likely to pass its limit to be replaced "
-        "and not inspected",
-        "km",
-        low=0,
-    )
     lead_days: float = setting(
         14.0, "Days from today until the first possible visit", "days", low=0
     )
@@ -70,12 +67,6 @@ class PlanSettings:
         above=0,
         high=36_525.0,
         rule="days; above lead_days, at most 36525",
-    )
-    notice_days: float = setting(
-        90.0,
-        "Days within which a notice is inspected if no limit is predicted to be passed",
-        "days",
-        low=0,
     )
     km_per_day: float = setting(
         500.0, "Daily mileage of trains whose trips do not determine it", "km", above=0
@@ -383,7 +374,7 @@ class _Calendar:
         # a day earlier than that on which the risk would be exceeded
         days = np.ceil(last_km / self.train.km_per_day) - 1
         if part.severity == Severity.NOTICE and days >= self.settings.horizon_days:
-            days = math.floor(self.settings.notice_days)
+            days = NOTICE_DAYS
         return float(max(days, first_day))
 
     def _to_go(self, part: Part) -> FloatArray:
@@ -402,7 +393,7 @@ class _Calendar:
 
     def visit(self, days: int, parts: Sequence[Part]) -> Visit:
         """Return the visit after some days at which these parts are done."""
-        reach_km = self.train.km_per_day * days + self.settings.reach_km
+        reach_km = self.train.km_per_day * days + REACH_KM
         likely = [(self._to_go(part) <= reach_km).mean() > 0.5 for part in parts]
         works = [REPLACE if is_likely else INSPECT for is_likely in likely]
         jobs = [self.job(part, work, days) for part, work in zip(parts, works, strict=True)]

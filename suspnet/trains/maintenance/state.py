@@ -23,6 +23,7 @@ from suspnet.trains.maintenance.assessment import (
     joined,
     overall,
     severity_of,
+    step_words,
     trend_of,
     worst_first,
 )
@@ -201,9 +202,14 @@ class State:
         return max(values, key=lambda value: abs(math.log(value)) if value > 0 else -1.0)
 
     def _assessment(self, name: str) -> Assessment:
-        lasting = self.watched.lasting.get(name)
+        trend, lasting = trend_of(self.recent, name), ""
+        if name in self.watched.lasting:
+            lasting = self.watched.lasting[name].words
+        elif name != BODY_MASS and not self.watched.changes.by_parameter:
+            values = self.recent.estimates[name]
+            lasting = step_words(self.recent.mileage_km, values, trend.spread_percent)
         evidence = Evidence(
-            trend_of(self.recent, name, changed=lasting is not None),
+            replace(trend, changed=bool(lasting)),
             self.last_of(name),
             self.limits.get(name),
             self.alarms_of(name),
