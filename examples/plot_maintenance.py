@@ -61,14 +61,14 @@ watched = watch(series, DEFAULT_LIMITS, settings)
 for alarm in watched.alarms:
     print(f"{alarm.severity!s:7} {alarm.parameter} since {alarm.begin_km:,.0f} km: {alarm.words}")
 
-limit = threshold(2000 / settings.km_per_false_alarm / 4, settings.n_reference)
-rest = residuals(np.log(estimates), np.empty((*estimates.shape, 0)), settings.n_reference)
+limit = threshold(2000 / settings.km_per_false_alarm / 4)
+rest = residuals(np.log(estimates), np.empty((*estimates.shape, 0)))
 sums = cusum(rest.standard).max(axis=0)
 
 figure, axes = plt.subplots(2, 1, sharex=True, figsize=(5.0, 4.5), layout="constrained")
 for i, name in enumerate(names):
     axes[0].plot(km / 1000, 100 * estimates[:, i], ".", label=f"${name}$")
-    axes[1].semilogy(km[settings.n_reference :] / 1000, 1 + sums[:, i])
+    axes[1].semilogy(km[-len(sums) :] / 1000, 1 + sums[:, i])
 axes[1].axhline(1 + limit, color="0.3", ls="--", label="threshold")
 axes[0].set_ylabel("% of healthy")
 axes[1].set_ylabel("1 + CUSUM")

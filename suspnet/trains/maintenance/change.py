@@ -14,7 +14,7 @@ from suspnet.ground.settings import LARGEST, check_settings, setting
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.trains.maintenance.cusum import (
     CLIP,
-    MAX_CORRELATION,
+    N_REFERENCE,
     Residuals,
     cusum,
     residuals,
@@ -28,9 +28,6 @@ BACK = 0.25
 SURE = 8.0
 """A change ends only after enough trips that the standard error of their mean is at most the size
 of the change over this."""
-STEP = 1.05
-"""False-alarm rates are rounded to powers of this, so that suspensions share simulated
-thresholds."""
 LONGEST_GAP = 2e4
 """Largest mileage between two trips that counts, [km]: a long pause allows no extra false alarm."""
 VARIES = 0.01
@@ -50,22 +47,9 @@ class ChangeSettings:
         low=1000,
         high=1e9,
     )
-    n_reference: int = setting(
-        20,
-        "Number of first trips that form the reference; no change is detected before",
-        low=8,
-        high=1000,
-    )
-    correlation: float = setting(
-        0.5,
-        "Largest correlation of successive trips for which that mileage holds",
-        low=0,
-        high=MAX_CORRELATION,
-    )
     least_percent: float = setting(
         0.1, "Smallest change that is reported", "% of healthy", low=0, below=100
     )
-    seed: int = setting(0, "Seed of the simulation that gives the thresholds", low=0)
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -165,7 +149,7 @@ def find_changes(
     if usable is not None:
         good &= np.asarray(usable, dtype=bool)
     trips = np.flatnonzero(good)
-    needed = settings.n_reference
+    needed = N_REFERENCE
     if len(trips) < needed:
         why = Finding("reference-incomplete", n_trips=len(trips), needed=needed)
         return Changes(n_reference=len(trips), n_needed=needed, why_not=why)
@@ -203,16 +187,10 @@ def _limits(km: FloatArray, n_parameters: int, settings: ChangeSettings) -> Floa
     The rate per trip uses a moving mean of the gaps. Each gap enters it equally often, so the
     expected number of false alarms per km does not depend on the spacing of the trips.
     """
-    n_gaps = settings.n_reference - 1
+    n_gaps = N_REFERENCE - 1
     counted = np.cumsum(np.minimum(np.diff(km, prepend=km[0]), LONGEST_GAP))
     spacing = np.maximum((counted[n_gaps:] - counted[:-n_gaps]) / n_gaps, 1.0)
-    rates = np.minimum(spacing / settings.km_per_false_alarm / n_parameters, 0.05)
-    powers, where = np.unique(np.floor(np.log(rates) / np.log(STEP)), return_inverse=True)
-    limits = [
-        threshold(float(STEP**power), settings.n_reference, settings.correlation, settings.seed)
-        for power in powers
-    ]
-    return np.array(limits)[where]
+    return threshold(np.minimum(spacing / settings.km_per_false_alarm / n_parameters, 0.05))
 
 
 def _changes_of(
@@ -220,7 +198,7 @@ def _changes_of(
 ) -> list[Change]:
     """Return the changes of one parameter; arrays have one entry for each usable trip."""
     changes = []
-    trips, needed = judged.trips, judged.settings.n_reference
+    trips, needed = judged.trips, N_REFERENCE
     used = np.arange(len(logs))
     start = needed
     for _ in range(len(logs)):  # each turn ends, or leaves out a trip

@@ -1,4 +1,4 @@
-"""CUSUM of pre-whitened trips against a growing reference, and its thresholds by simulation.
+"""CUSUM of pre-whitened trips against a growing reference, and its thresholds.
 
 Symbols: t is the index of a trip, j the number of trips in the reference, phi the correlation of
 successive trips.
@@ -6,12 +6,10 @@ successive trips.
 
 from __future__ import annotations
 
-import functools
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
@@ -26,11 +24,27 @@ MAX_CORRELATION = 0.6
 """Largest correlation of successive trips that pre-whitening removes."""
 LEAST_SPREAD = 1e-6
 """Least standard deviation of trips, in the unit of the values: anything less is rounding."""
-N_SIMULATED = 8000
-N_MONITORED = 200
-"""Number of simulated healthy histories, and of their trips after the reference."""
-HORIZONS = (10, 20, 50, 100, 200)
-"""The false-alarm rate holds over each of these numbers of trips after the reference."""
+N_REFERENCE = 20
+"""Number of first trips that form the reference; no change is detected before."""
+CORRELATION = 0.5
+"""Largest correlation of successive trips for which ``THRESHOLDS`` hold: the least favourable one,
+because the trips of a reference do not determine their own well enough."""
+THRESHOLDS = (
+    (0.05, 6.00),
+    (0.0195, 6.00),
+    (0.00762, 6.00),
+    (0.00297, 8.03),
+    (0.00116, 10.39),
+    (0.000453, 12.88),
+    (0.000177, 15.18),
+    (6.9e-05, 17.87),
+    (2.69e-05, 20.73),
+    (1.05e-05, 23.16),
+    (4.1e-06, 25.08),
+    (1.6e-06, 27.37),
+)
+"""Rates of false alarms over 10 to 200 trips after the reference and their thresholds, as
+benchmarks/thresholds.py simulates them."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +72,9 @@ class Residuals:
         return replace(self, **columns)
 
 
-def residuals(values: FloatArray, covariates: FloatArray, n_reference: int) -> Residuals:
+def residuals(
+    values: FloatArray, covariates: FloatArray, n_reference: int = N_REFERENCE
+) -> Residuals:
     """Return the deviation of each trip from a reference that grows with the history.
 
     Trip t is compared with the j trips before t - ``DELAY``, but at least the first `n_reference`.
@@ -146,61 +162,21 @@ def cusum(standard: FloatArray) -> FloatArray:
     return walks - np.minimum(0, np.minimum.accumulate(walks, axis=1))
 
 
-@functools.lru_cache(maxsize=1024)
-def threshold(rate: float, n_reference: int, correlation: float = 0.5, seed: int = 0) -> float:
-    """Return the threshold of ``cusum``, [standard deviations], for a rate of false alarms.
+def threshold(rate: ArrayLike) -> FloatArray:
+    """Return the thresholds of ``cusum``, [standard deviations], for rates of false alarms.
 
-    ``N_SIMULATED`` healthy histories, each with its own reference, are drawn from a normal
-    autoregressive process: a parametric bootstrap for any suspension, as standardised residuals
-    depend on neither level nor spread. The rate counts first false alarms per monitored trip, over
-    each of ``HORIZONS``. The threshold is at least ``CLIP``, so that no trip raises an alarm alone.
-    Rates too small for the simulation are extrapolated with the slope of the last decade simulated,
-    which is flatter than the exp(-2 k h) of a known level.
-
-    `rate` is per trip, `n_reference` at least 8, `correlation` the largest expected correlation of
-    successive trips, up to ``MAX_CORRELATION``. ValueError is raised if one is out of range.
+    A rate counts first false alarms per monitored trip. The log rate is interpolated linearly in
+    ``THRESHOLDS``, and extrapolated beyond its rarest alarms, where it is flatter than the
+    exp(-2 k h) of a known level; a threshold is at least ``CLIP``, so that no trip raises an alarm
+    alone. ValueError is raised if a rate is not above 0 and below 1.
     """
-    check_number("rate", rate, above=0, below=1)
-    check_number("correlation", correlation, low=0, high=MAX_CORRELATION)
-    peaks = healthy_peaks(n_reference, float(correlation), seed)
-    shown = 20 / (N_SIMULATED * HORIZONS[-1])
-    if rate >= shown:
-        return _least(peaks, rate)
-    last, before = _least(peaks, shown), _least(peaks, 10 * shown)
-    slope = max((last - before) / math.log(10), 1 / (2 * ALLOWANCE))
-    return last + slope * math.log(shown / rate)
-
-
-def _least(peaks: NDArray[np.float32], rate: float) -> float:
-    """Return the least threshold, at least ``CLIP``, whose rate is at most `rate`."""
-    low, high = CLIP, float(peaks[-1].max())
-    for _ in range(24):  # the rate falls with the threshold: bisection to 1e-7 of the range
-        middle = (low + high) / 2
-        low, high = (middle, high) if false_alarm_rate(peaks, middle) > rate else (low, middle)
-    return high
-
-
-def false_alarm_rate(peaks: NDArray[np.float32], threshold: float) -> float:
-    """Return the largest rate of first alarms over the horizons; `peaks` of ``healthy_peaks``."""
-    quiet = (peaks <= threshold).sum(axis=0)  # trips before the first alarm
-    return max(
-        float((quiet < trips).mean() / np.minimum(quiet + 1, trips).mean()) for trips in HORIZONS
-    )
-
-
-@functools.lru_cache(maxsize=8)
-def healthy_peaks(n_reference: int, correlation: float, seed: int) -> NDArray[np.float32]:
-    """Return the largest CUSUM up to each trip, (``N_MONITORED``, ``N_SIMULATED``)."""
-    random = np.random.default_rng(seed)
-    peaks = np.empty((N_MONITORED, N_SIMULATED), np.float32)
-    chunk = 500  # histories at once, which bounds the memory
-    for begin in range(0, N_SIMULATED, chunk):
-        noise = random.standard_normal((n_reference + N_MONITORED, chunk))
-        values = autoregressive(noise, correlation)
-        standard = residuals(values, np.empty((*values.shape, 0)), n_reference).standard
-        largest = cusum(standard).max(axis=0)
-        peaks[:, begin : begin + chunk] = np.maximum.accumulate(largest, axis=0)
-    return peaks
+    rates = np.asarray(rate, dtype=float)
+    if not ((rates > 0) & (rates < 1)).all():
+        raise ValueError(f"`rate` must be above 0 and below 1, got {rates}")
+    rarer, limits = -np.log([row[0] for row in THRESHOLDS]), [row[1] for row in THRESHOLDS]
+    beyond = np.maximum(-np.log(rates) - rarer[-1], 0.0)
+    slope = (limits[-1] - limits[-3]) / (rarer[-1] - rarer[-3])
+    return np.asarray(np.interp(-np.log(rates), rarer, limits) + slope * beyond)
 
 
 def autoregressive(noise: FloatArray, correlation: float | FloatArray) -> FloatArray:
