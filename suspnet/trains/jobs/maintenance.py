@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections import Counter
 from pathlib import Path
 
-from suspnet.ground.storage import write_json
 from suspnet.trains.history import History
 from suspnet.trains.history.database import check_exists
 from suspnet.trains.maintenance.plan import plan_of
@@ -43,15 +41,5 @@ def write_maintenance(history: History, folder: Path, settings: BoardSettings) -
     planned = plan_of(states, settings.plan, settings.day())
     view = fleet_view(states, own, acknowledged, planned)
     write_fleet(view, planned, plan_calendar(planned), folder)
-    counts = Counter(str(state.severity) for state in states)
-    write_json(
-        folder / "metrics.json",
-        {
-            "severities": counts,
-            "n_visits": len(planned.visits),
-            "n_jobs": sum(len(visit.jobs) for visit in planned.visits),
-            "n_unknown": len(planned.unknown),
-        },
-    )
     log.info("%s\n\n%s\n-> %s", overview_table(view.rows), planned.summary, folder)
     return states

@@ -107,7 +107,7 @@ def step_words(mileage_km: FloatArray, values: FloatArray, spread_percent: float
     is_large = abs(percent) > max(MULTIPLE * spread_percent, LEAST_PERCENT)
     if not is_large or 2 * stats.t.sf(t, n - 2) * len(splits) >= LEVEL:
         return ""
-    kind, about = "fell" if percent < 0 else "rose", (km[at - 1] + km[at]) / 2
+    kind, about = "fell" if percent < 0 else "rose", round((km[at - 1] + km[at]) / 2, -3)
     return Finding(kind, percent=abs(percent), km=about)
 
 

@@ -2,14 +2,10 @@
 
 Estimates of consecutive trips in opposite directions should agree. With d_i the difference of the
 logarithms (forward - reverse) of pair i, h_i the root of the sum of both squared half widths, and
-w_i = 1 / h_i^2, the difference of the directions and its variance, from the pairs' own scatter, are
-::
+w_i = 1 / h_i^2, an error e that all trips share widens the intervals to sqrt(h^2 + (z e)^2)::
 
-    m = sum w_i d_i / sum w_i,    v = sum w_i (d_i - m)^2 / ((n - 1) sum w_i).
-
-Half of the part of m beyond its noise is the standard deviation of an error that all trips share::
-
-    e^2 = max(m^2 - v, 0) / 4,    (half width)^2 = h^2 + (z e)^2.
+    m = sum w_i d_i / sum w_i,    v = sum w_i (d_i - m)^2 / ((n - 1) sum w_i),
+    e^2 = max(m^2 - v, 0) / 4.
 
 e of a trip is of the pairs up to this trip, so that later trips do not change its interval.
 """

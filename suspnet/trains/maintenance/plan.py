@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import ESTIMATED, Severity, part_words
-from suspnet.ground.settings import check_number, check_settings, setting
+from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import thousands
 from suspnet.trains.maintenance.life import SHOWN_LEVEL
@@ -94,10 +94,6 @@ class Train:
     km_per_day: float
     is_assumed: bool = False
 
-    def __post_init__(self) -> None:
-        check_number(f"mileage_km of train {self.name}", self.mileage_km)
-        check_number(f"km_per_day of train {self.name}", self.km_per_day, above=0)
-
     def mileage_at(self, day: date) -> float:
         """Return the mileage expected on a day, [km]."""
         return self.mileage_km + self.km_per_day * (day - self.on).days
@@ -121,15 +117,6 @@ class Part:
     severity: Severity = Severity.NONE
     car: str = ""
     unknown: str = ""
-
-    def __post_init__(self) -> None:
-        samples = np.asarray(self.samples_km, dtype=float)
-        if samples.ndim != 1 or not samples.size or not (samples >= 0).all():
-            raise ValueError(
-                f"`samples_km` of {self} must be mileages >= 0, at least one, none of them NaN"
-            )
-        check_number(f"mileage_km of {self}", self.mileage_km)
-        object.__setattr__(self, "samples_km", samples)
 
     @property
     def place(self) -> tuple[str, str, str]:
@@ -296,21 +283,14 @@ def make_plan(
 ) -> Plan:
     """Return the plan of a fleet's visits, for each train separately.
 
-    `parts` and `trains` are those of the whole fleet, in any order. ValueError is raised if a part
-    occurs twice, or its train is missing or given twice.
+    `parts` and `trains` are those of the whole fleet, in any order. ValueError is raised if the
+    train of a part is missing.
     """
     named = {train.name: train for train in trains}
-    if len(named) < len(trains):
-        raise ValueError(f"`trains` must have different names, got {[t.name for t in trains]}")
     of_train: dict[str, list[Part]] = defaultdict(list)
-    seen: set[tuple[str, ...]] = set()
     for part in parts:
-        key = (*part.place, part.parameter)
-        if key in seen:
-            raise ValueError(f"`parts` must name each part once, got {part} twice")
         if part.train not in named:
             raise ValueError(f"`trains` must hold the train of each part, not that of {part}")
-        seen.add(key)
         of_train[part.train].append(part)
 
     # trains do not share visits

@@ -177,12 +177,6 @@ class Series:
         ends = np.searchsorted(self.mileage_km[np.isfinite(self.mileage_km)], self.repairs)
         return np.split(np.arange(len(self.trip)), ends)
 
-    def first_of_each(self, name: str, n_first: int) -> list[tuple[IntArray, IntArray]]:
-        """Return the trips between maintenances, each with their first ones with an estimate."""
-        done = np.isfinite(self.estimates[name])
-        pairs = ((trips, trips[done[trips]][:n_first]) for trips in self.between)
-        return [(trips, first) for trips, first in pairs if len(first)]
-
     def relative_to_first(self, n_first: int | None) -> Series:
         """Return k and c relative to the median of the first trips after each maintenance.
 
@@ -199,10 +193,13 @@ class Series:
             for columns in (self.estimates, self.half_widths)
         )
         for name in set(estimates) - {BODY_MASS}:
-            for trips, first in self.first_of_each(name, n_first):
-                estimates[name][trips] /= np.median(estimates[name][first])
-                own = half_widths[name]
-                own[trips] = np.hypot(own[trips], half_width_of_median(own[first]))
+            values, widths = estimates[name], half_widths[name]
+            for trips in self.between:  # each maintenance gives a new reference
+                first = trips[np.isfinite(values[trips])][:n_first]
+                if len(first):
+                    of_median = np.sqrt(np.pi / 2 / len(first)) * np.median(widths[first])
+                    widths[trips] = np.hypot(widths[trips], np.nan_to_num(of_median))
+                    values[trips] /= np.median(values[first])
         return replace(self, estimates=estimates, half_widths=half_widths, n_first=n_first)
 
     def widened(self) -> Series:
@@ -335,9 +332,3 @@ def series_of(results: Sequence[TripResult], events: Iterable[Event] = ()) -> Se
         temperature_c=[r.temperature_c for r in results],
         direction=[SIGNS.get(r.quality.direction, np.nan) for r in results],
     ).widened()
-
-
-def half_width_of_median(half_widths: ArrayLike) -> float:
-    """Return the half-width of the median of trips from their own; 0 if one is unknown."""
-    widths = np.asarray(half_widths, dtype=float)
-    return float(np.nan_to_num(np.sqrt(np.pi / 2 / len(widths)) * np.median(widths)))

@@ -258,11 +258,9 @@ def why_unknown(recent: Series, name: str) -> str:
     if trips_of_life(recent, name) is not None:
         return ""
     done, doubtful = np.isfinite(recent.estimates[name]), recent.flagged
-    n_done, n_clear = int(done.sum()), int((done & ~doubtful).sum())
-    if not n_done:
+    n_clear = int((done & ~doubtful).sum())
+    if not done.any():
         return "no trip with an estimate"
-    if not n_clear:
-        return "all trips are flagged" if n_done > 1 else ONE_FLAGGED
     if n_clear < MIN_TRIPS:
         kind = "too-few-unflagged" if doubtful.any() else "too-few-of"
         return Finding(kind, n=n_clear, n_needed=MIN_TRIPS)
