@@ -3,7 +3,6 @@
 import pickle
 import shutil
 import threading
-from dataclasses import replace
 from datetime import date
 from functools import cache
 
@@ -13,7 +12,6 @@ from depot_trips import N_TRIPS, place, trips
 from empty_stores import KINDS, empty_store
 
 from suspnet.ground.parameters import Cause, Severity
-from suspnet.ground.records import Place
 from suspnet.trains.history import History, HistoryError
 from suspnet.trains.maintenance import state as states_module
 from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm
@@ -113,13 +111,6 @@ def test_a_first_view_is_what_the_functions_give(store, board):
     assert {view.states[i].series.place for i in car} == {LEFT, RIGHT}
     assert {view.states[i].key for i in view.keys.values()} == {("am96", one) for one in FLEET}
     assert set(view.limits) == {"am96"}
-
-
-def test_an_address_is_short_and_distinguishes_suspensions():
-    places = [Place("a"), Place(side="a"), Place("a", car="1"), Place("<b>/../")]
-    found = {address((vehicle, where)) for vehicle in ("x", "y") for where in places}
-    assert len(found) == 8
-    assert all(len(one) == 12 and int(one, 16) >= 0 for one in found)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -292,25 +283,3 @@ def test_inconsistent_limits_and_days_are_named(store):
     assert "vehicle am96: " in board.view.trouble
     with pytest.raises(ValueError, match="must be a day like"):
         BoardSettings(today="tomorrow")
-
-
-@pytest.mark.parametrize(
-    ("flagged", "severity", "kind"),
-    [
-        ([""] * 10, Severity.NONE, ""),
-        (["misfit"] * 4 + [""] + ["misfit"] * 4, Severity.NONE, ""),
-        (["misfit"] * 10, Severity.UNKNOWN, "all-last-flagged"),
-        ([""] * 5 + ["misfit"] * 5, Severity.UNKNOWN, "all-last-flagged"),
-    ],
-)
-def test_suspension_whose_last_trips_are_all_flagged_is_not_judged(
-    tmp_path, flagged, severity, kind
-):
-    made = trips(LEFT, 0, n_trips=len(flagged))
-    with History(tmp_path / "fleet.db") as store:
-        store.write([replace(one, flags=flag) for one, flag in zip(made, flagged, strict=True)])
-    board = Board(str(tmp_path / "fleet.db"), BoardSettings())
-    board.refresh()
-    (state,) = board.view.states
-    assert (state.severity, getattr(state.unjudged, "kind", "")) == (severity, kind)
-    assert ("not judged" in board.view.rows[0]["reason"]) == bool(kind)

@@ -166,31 +166,23 @@ class Evidence:
 
 
 def assess(of: Evidence) -> Assessment:
-    """Return the assessment of one parameter, with the severity of ``severity_of``."""
-    severity = severity_of(of.last, of.limits, of.alarms, of.doubt)
-    words = _words(of)
+    """Return the assessment of one parameter; all reports use this rule.
+
+    Its severity is the worst of the last trips' (``judge_last``) and of the active alarms'. A doubt
+    about a parameter with limits makes it unknown at least.
+    """
+    by_limits, words = judge_last(of.last, of.limits)[0], _words(of)
+    least = Severity.UNKNOWN if of.doubt and of.limits is not None else Severity.NONE
+    severity = max(least, by_limits, *(alarm.severity for alarm in of.alarms))
     # an alarm that the last trips alone do not explain comes first
     worst = max(of.alarms, key=lambda alarm: (alarm.severity, -alarm.begin_km), default=None)
-    if worst is not None and worst.severity > judge_last(of.last, of.limits)[0]:
+    if worst is not None and worst.severity > by_limits:
         is_said = worst.cause == Cause.CHANGE and bool(of.lasting)
         since = Finding("alarm-since", words=words if is_said else worst.words, km=worst.begin_km)
         words = since if is_said else together((since, words))
     if of.doubt and of.limits is not None:
         words = together((of.doubt, words))
     return Assessment(of.trend, severity, words, of.limits is not None, not of.is_short)
-
-
-def severity_of(
-    last: LastTrips, limits: Limits | None, alarms: Sequence[Alarm], doubt: str = ""
-) -> Severity:
-    """Return the severity of a parameter; all reports use this rule.
-
-    It is the worst of the last trips' (``judge_last``) and of the active alarms'. A `doubt` about a
-    parameter with limits makes it unknown at least.
-    """
-    least = Severity.UNKNOWN if doubt and limits is not None else Severity.NONE
-    by_limits = judge_last(last, limits)[0]
-    return max(least, by_limits, *(alarm.severity for alarm in alarms))
 
 
 def joined(assessments: Sequence[Assessment]) -> list[list[Assessment]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
@@ -56,13 +56,12 @@ class Life:
 
     `model` is "no trend" if its probability is at least 0.5, else the most probable other one of
     ``MODELS``. `samples_km`, (n_samples,), are mileages from the last trip until the nearer limit
-    is passed; inf: not within ``HORIZON_KM``, 0: already passed. `probabilities` [-] are those of
-    the models; the samples are drawn from all models in these proportions.
+    is passed, of all models by their probabilities; inf: not within ``HORIZON_KM``, 0: already
+    passed.
     """
 
     model: str
     samples_km: FloatArray
-    probabilities: dict[str, float] = field(default_factory=dict)
 
     def quantile_km(self, q: float) -> float:
         """Return the mileage within which the limit is passed with probability `q`."""
@@ -156,11 +155,9 @@ def predict_life(
         for fit, begin, end in zip(fits, ends[:-1], ends[1:], strict=True)
     ]
     samples = draw_lives_km(join(states), draw, (lower, upper), km.size + NOISE_TRIPS, rng)
-    # models that were not fitted have no share
-    share = np.zeros(len(MODELS))
-    share[: len(fits)] = [weight.sum() for weight in weights]
+    share = np.array([weight.sum() for weight in weights])
     model = MODELS[0 if share[0] >= 0.5 else 1 + int(share[1:].argmax())]
-    return Life(model, rng.permutation(samples), dict(zip(MODELS, share.tolist(), strict=True)))
+    return Life(model, rng.permutation(samples))
 
 
 def _checked_series(

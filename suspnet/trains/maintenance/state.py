@@ -22,7 +22,6 @@ from suspnet.trains.maintenance.assessment import (
     assess,
     joined,
     overall,
-    severity_of,
     step_words,
     trend_of,
     worst_first,
@@ -89,13 +88,7 @@ class State:
     @cached_property
     def severities(self) -> dict[str, Severity]:
         """Severity of each parameter except the car-body mass."""
-        return {
-            name: severity_of(
-                self.last_of(name), self.limits.get(name), self.alarms_of(name), self.doubt
-            )
-            for name in self.outputs
-            if name != BODY_MASS
-        }
+        return {a.parameter: a.severity for a in self.assessments if a.parameter != BODY_MASS}
 
     @cached_property
     def severity(self) -> Severity:
