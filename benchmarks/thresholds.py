@@ -1,6 +1,6 @@
 """Thresholds of the CUSUM of changes: the table THRESHOLDS of suspnet/trains/maintenance/cusum.py.
 
-python benchmarks/thresholds.py [--histories 256000] [--seed 0]
+python benchmarks/thresholds.py [--histories 8000] [--seed 0]
 
 Healthy histories, each with a reference of its own, are drawn from a normal autoregressive process
 with the largest correlation that the promise holds for: a parametric bootstrap for any suspension,
@@ -24,7 +24,7 @@ N_MONITORED = 200
 """Number of simulated trips after the reference."""
 HORIZONS = (10, 20, 50, 100, 200)
 """The false-alarm rate holds over each of these numbers of trips after the reference."""
-RATES = np.geomspace(0.01, 1e-6, 13)
+RATES = np.geomspace(0.01, 1.25e-5, 13)
 
 
 def false_alarm_rate(peaks: NDArray[np.float32], threshold: float) -> float:
@@ -62,12 +62,12 @@ def least(peaks: NDArray[np.float32], rate: float) -> float:
 def main() -> None:
     """Print the table."""
     parser = Parser(description=__doc__.splitlines()[0])
-    parser.add_argument("--histories", type=at_least(1000), default=256_000)
+    parser.add_argument("--histories", type=at_least(1000), default=8000)
     parser.add_argument("--seed", type=at_least(0), default=0)
     given = parser.parse_args()
     peaks = healthy_peaks(given.histories, given.seed)
     for rate in RATES:
-        print(f"    ({rate:.3g}, {least(peaks, rate):.2f}),", flush=True)
+        print(f"    ({rate:.4g}, {least(peaks, rate):.3f}),", flush=True)
 
 
 if __name__ == "__main__":

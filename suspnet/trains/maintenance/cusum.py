@@ -30,18 +30,19 @@ CORRELATION = 0.5
 """Largest correlation of successive trips for which ``THRESHOLDS`` hold: the least favourable one,
 because the trips of a reference do not determine their own well enough."""
 THRESHOLDS = (
-    (0.05, 6.00),
-    (0.0195, 6.00),
-    (0.00762, 6.00),
-    (0.00297, 8.03),
-    (0.00116, 10.39),
-    (0.000453, 12.88),
-    (0.000177, 15.18),
-    (6.9e-05, 17.87),
-    (2.69e-05, 20.73),
-    (1.05e-05, 23.16),
-    (4.1e-06, 25.08),
-    (1.6e-06, 27.37),
+    (0.01, 6.000),
+    (0.005729, 6.607),
+    (0.003282, 7.746),
+    (0.00188, 9.102),
+    (0.001077, 10.480),
+    (0.0006171, 11.890),
+    (0.0003536, 13.271),
+    (0.0002025, 14.546),
+    (0.000116, 15.691),
+    (6.648e-05, 17.497),
+    (3.809e-05, 19.566),
+    (2.182e-05, 21.491),
+    (1.25e-05, 23.054),
 )
 """Rates of false alarms over 10 to 200 trips after the reference and their thresholds, as
 benchmarks/thresholds.py simulates them."""
@@ -166,16 +167,16 @@ def threshold(rate: ArrayLike) -> FloatArray:
     """Return the thresholds of ``cusum``, [standard deviations], for rates of false alarms.
 
     A rate counts first false alarms per monitored trip. The log rate is interpolated linearly in
-    ``THRESHOLDS``, and extrapolated beyond its rarest alarms, where it is flatter than the
-    exp(-2 k h) of a known level; a threshold is at least ``CLIP``, so that no trip raises an alarm
-    alone. ValueError is raised if a rate is not above 0 and below 1.
+    ``THRESHOLDS``, and extrapolated beyond its rarest alarms with the slope of the last decade,
+    flatter than the exp(-2 k h) of a known level; a threshold is at least ``CLIP``, so that
+    no trip raises an alarm alone. ValueError is raised if a rate is not above 0 and below 1.
     """
     rates = np.asarray(rate, dtype=float)
     if not ((rates > 0) & (rates < 1)).all():
         raise ValueError(f"`rate` must be above 0 and below 1, got {rates}")
     rarer, limits = -np.log([row[0] for row in THRESHOLDS]), [row[1] for row in THRESHOLDS]
     beyond = np.maximum(-np.log(rates) - rarer[-1], 0.0)
-    slope = (limits[-1] - limits[-3]) / (rarer[-1] - rarer[-3])
+    slope = (limits[-1] - limits[-5]) / (rarer[-1] - rarer[-5])
     return np.asarray(np.interp(-np.log(rates), rarer, limits) + slope * beyond)
 
 
