@@ -65,7 +65,7 @@ def test_trips_are_read_back_as_they_were_written(store):
 words = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=20)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(
     words,
     words,

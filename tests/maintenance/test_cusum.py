@@ -168,6 +168,7 @@ def test_rate_is_first_alarms_over_trips_monitored():
     assert simulated.false_alarm_rate(peaks, 12) == pytest.approx(max(rates), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_table_of_thresholds_is_that_of_simulated_histories():
     peaks = simulated.healthy_peaks(8000)
     for rate, limit in THRESHOLDS[1::4]:

@@ -210,7 +210,7 @@ def test_same_seed_gives_the_same_samples_and_no_input_changes():
     np.testing.assert_array_equal(values, before)
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(st.data())
 def test_any_history_gives_a_distribution(data):
     n = data.draw(st.integers(MIN_TRIPS, 60))

@@ -43,7 +43,7 @@ def made_up(where, vehicle):
         "few": {"k_p": 1 - 0.02 * trip},
         "unsure": {"k_p": np.where(trip > 20, 0.89, 1)},
     }
-    name, n_trips = where.suspension, {"few": 7, "flagged": 12}
+    name, n_trips = where.suspension, {"few": 7, "flagged": 8}
     results = trips(where, NAMES.index(name), wear[name], n_trips=n_trips.get(name, 24))
     if name == "flagged":
         results = [replace(r, flags="odd") for r in results]
