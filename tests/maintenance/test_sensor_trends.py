@@ -103,8 +103,8 @@ def test_a_failing_sensor_is_named_within_few_trips(sensor, number, per_trip, ki
 
 
 def test_a_chance_does_not_hide_a_trip_of_a_worn_part():
-    """600 healthy trips: one in 5,000 and sensor misleads, though 1 % exceed four deviations."""
-    found = [one for seed in range(3) for one in trends(health(200, seed=seed)).values()]
+    """1,200 healthy trips: one in 5,000 and sensor misleads, though 1 % exceed four deviations."""
+    found = [one for seed in range(6) for one in trends(health(200, seed=seed)).values()]
     beyond = np.concatenate([one.beyond["gain"] | one.beyond["delay_s"] for one in found])
     misleads = np.concatenate([one.misleads for one in found])
     assert misleads.mean() <= 0.0005 < beyond.mean()
