@@ -13,12 +13,12 @@ from trip_records import trip
 
 from suspnet.estimation.estimate import HealthyValues
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.ground.parameters import COMPONENTS, DEFAULT_LIMITS
+from suspnet.ground.parameters import COMPONENTS, DEFAULT_LIMITS, Cause
 from suspnet.ground.records import ERROR, SensorHealth, sensors_text
 from suspnet.trains.history import History
 from suspnet.trains.jobs import fleet as fleet_module
 from suspnet.trains.jobs.fleet import FleetSettings, evaluate_fleet
-from suspnet.trains.maintenance import Acknowledgement, Cause, Severity
+from suspnet.trains.maintenance import Acknowledgement, Severity
 from suspnet.trains.maintenance.alarms import watch
 from suspnet.trains.maintenance.change import ChangeSettings
 from suspnet.trains.maintenance.series import Event, series_of

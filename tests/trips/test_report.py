@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 from trip_records import FLAG, HALF_WIDTHS, OUTPUTS, flagged, fleet, trend_of, trip
 
 from suspnet.ground.findings import WITHOUT_SENSORS, Finding, of, together
-from suspnet.ground.parameters import DEFAULT_LIMITS
+from suspnet.ground.parameters import DEFAULT_LIMITS, Cause
 from suspnet.ground.records import Place
 from suspnet.runs import figures
 from suspnet.runs.language import speaking
-from suspnet.trains.maintenance import Acknowledgement, Alarm, Cause, Life, Severity
+from suspnet.trains.maintenance import Acknowledgement, Alarm, Life, Severity
 from suspnet.trains.maintenance.alarms import Watched
 from suspnet.trains.maintenance.series import make_series, series_of
 from suspnet.trains.maintenance.state import State
