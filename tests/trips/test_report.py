@@ -118,7 +118,7 @@ def test_headline_and_verdicts_appear(whole):
     for one in state_of(results).assessments:
         assert one.words in words
     assert words.count("▲") == 4  # k_p and c_s, and where the mark is explained
-    assert "fell by 1.1 % at about 245 000 km, within its limits" in words
+    assert "fell by 1 % at about 245 000 km, within its limits" in words
     assert "80 to 125 70 to 140" in words  # the limits of a damper
     assert "They do not show lateral and yaw dampers" in words
 
