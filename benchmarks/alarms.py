@@ -32,6 +32,7 @@ from scipy.stats import chi2
 from tabulate import tabulate
 
 from suspnet.trains.maintenance.change import ChangeSettings, find_changes
+from suspnet.trains.maintenance.cusum import N_REFERENCE as REFERENCE
 from suspnet.trains.maintenance.cusum import autoregressive
 
 NAMES = ("k_p", "c_p", "k_s", "c_s")
@@ -46,7 +47,7 @@ EFFECTS = np.array(
 )
 RESULTS = Path(__file__).parent / "results"
 SETTINGS = ChangeSettings()
-N_REFERENCE, N_LATER, CHANGED_AT = SETTINGS.n_reference, 300, 60
+N_REFERENCE, N_LATER, CHANGED_AT = REFERENCE, 300, 60
 N_TRIPS = N_REFERENCE + N_LATER
 WITHIN = 50
 PER_TRIP = 2000 / SETTINGS.km_per_false_alarm / len(NAMES)

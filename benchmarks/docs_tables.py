@@ -22,6 +22,7 @@ import one_way
 from against_n import METHODS, TUBE
 from cells import Parser, Row
 from layouts import layouts_markdown
+from paper_exhibits import impact_rows
 from tabulate import tabulate
 
 from suspnet.cli.config_files import read_comments
@@ -30,7 +31,6 @@ from suspnet.ground.storage import write_atomically
 from suspnet.runs import fair, readings
 from suspnet.runs.tables import MODEL_TITLES, table6_caption, table6_markdown
 from suspnet.runs.tube import tube_markdown
-from suspnet.trains.jobs.paper import impact_rows
 from suspnet.vehicle import PARAMETERS, QuarterCar
 from suspnet.vehicle.quantities import PARTS, QUANTITIES
 
@@ -163,7 +163,7 @@ def whole_grid(rows: Sequence[Row]) -> str:
 
 
 def paper(rows: Sequence[Row]) -> str:
-    """Return each exhibit of the paper, next to what a run of experiment=paper made of it."""
+    """Return each exhibit of the paper, next to what paper_exhibits.py made of it."""
     lines = []
     for row in rows:
         home = f"[{Path(str(row['home'])).name}](../{row['home']})"

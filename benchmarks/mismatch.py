@@ -48,8 +48,9 @@ from suspnet.runs.fit import fit
 from suspnet.runs.predict import calibrated, with_unexplained
 from suspnet.trains.fits.commissioning import Commissioned, commission
 from suspnet.trains.fits.healthy_misfit import HealthySpectra
+from suspnet.trains.identification.healthy_trips import read_healthy
 from suspnet.trains.jobs.commissioning import FAMILY as FAMILY_PARTS
-from suspnet.trains.jobs.commissioning import commission_folder
+from suspnet.trains.jobs.commissioning import check_generator, commission_trips
 from suspnet.trains.recordings.manifest_files import find_manifests
 from suspnet.trains.simulation import Fleet
 from suspnet.vehicle.quantities import LogNormal
@@ -156,8 +157,10 @@ def commissioned(config, trips: Trips, folder: Path) -> Commissioned:
     """Return the vehicle that the healthy trips show."""
     generator, settings = build(config, "generator"), build(config, "data")
     if isinstance(trips.given[0], Path):
-        n_first = trips.n_healthy
-        return commission_folder(folder, generator, settings, TripSettings(), n_first=n_first)[1]
+        own = check_generator(generator)
+        bound = settings.bound(own.vehicle)
+        healthy = read_healthy(folder, own, bound, TripSettings(), n_first=trips.n_healthy)
+        return commission_trips(healthy, generator, settings)
     seen = any(trips.case.lateral_m)
     given = generator.parts or FAMILY_PARTS
     parts = tuple(part for part in given if seen or part != "roll")

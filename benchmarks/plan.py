@@ -33,8 +33,7 @@ from wear_histories import KINDS, PER_TRAIN, WearHistory, make_histories
 
 from suspnet.ground.types import FloatArray
 from suspnet.trains.maintenance.life import MIN_TRIPS, predict_life
-from suspnet.trains.maintenance.plan import PlanSettings, make_plan
-from suspnet.trains.maintenance.schedule import Part, Train
+from suspnet.trains.maintenance.plan import Part, PlanSettings, Train, make_plan
 
 STEP_KM = 20_000.0
 DURATION_KM = 3_000_000.0

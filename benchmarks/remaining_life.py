@@ -23,10 +23,7 @@ from scipy.stats import binomtest
 from tabulate import tabulate
 from wear_histories import KINDS, WearHistory, make_histories
 
-from suspnet.trains.maintenance.degradation import FleetPrior
-from suspnet.trains.maintenance.first_passage import HORIZON_KM
-from suspnet.trains.maintenance.fleet import learn_fleet
-from suspnet.trains.maintenance.life import Life, predict_life
+from suspnet.trains.maintenance.life import HORIZON_KM, Life, predict_life
 
 RESULTS = Path(__file__).parent / "results"
 LEVEL = 0.8
@@ -78,12 +75,10 @@ class Predicted:
         return self.now_km + np.minimum(self.life.samples_km, HORIZON_KM)
 
 
-def predict(
-    history: WearHistory, km: float, share: float, fleet: FleetPrior | None = None
-) -> Predicted:
+def predict(history: WearHistory, km: float, share: float) -> Predicted:
     """Return the prediction at a mileage."""
     mileage, values, half_widths = history.until(km)
-    life = predict_life(mileage, values, half_widths, history.limits, fleet=fleet)
+    life = predict_life(mileage, values, half_widths, history.limits)
     now = float(mileage[np.isfinite(values)][-1])
     return Predicted(history.kind, share, life, now, history.crossing_km)
 
@@ -195,28 +190,6 @@ def stepped(n: int, seed: int) -> list[Row]:
     return rows
 
 
-def with_fleet(n: int, seed: int) -> list[Row]:
-    """Return widths and coverage early in life with and without what was learnt of a fleet."""
-    known, fresh = make_histories(n, seed + 1000), make_histories(n, seed)
-    rows = []
-    for parameter in sorted({h.parameter for h in fresh}):
-        of_type = [h for h in known if h.parameter == parameter]
-        fleet = learn_fleet([h.until(0.9 * h.crossing_km) for h in of_type])
-        for name, prior in (("default prior", None), ("fleet", fleet)):
-            rows += [
-                (name, predict(h, share * h.crossing_km, share, prior))
-                for share in (0.35, *JUDGED)
-                for h in fresh
-                if h.parameter == parameter
-            ]
-    return [
-        {"prior": name, "share_of_life": share}
-        | scores([p for which, p in rows if which == name and p.share == share])
-        for share in (0.35, *JUDGED)
-        for name in ("default prior", "fleet")
-    ]
-
-
 def table(rows: list[Row]) -> str:
     """Return rows as text."""
     short = [
@@ -252,7 +225,6 @@ def main(argv: Sequence[str] | None = None) -> None:
     quiet, seconds = healthy(options.n, options.seed)
     print(f"\nhealthy: {1e3 * seconds:.1f} ms user time a prediction\n{table(quiet)}")
     print(f"\none step, nothing after it\n{table(stepped(options.n, options.seed))}")
-    print(f"\nwith a fleet of {options.n} others\n{table(with_fleet(options.n, options.seed))}")
 
 
 if __name__ == "__main__":

@@ -5,15 +5,13 @@
         data.n_train=2000 data.n_test=200 data.n_calibrate=500 figures=false
     python benchmarks/several_machines.py outputs/bench trips/bench monitors
     python benchmarks/several_machines.py outputs/bench trips/bench writers
-    pip install ".[cluster]"
     python benchmarks/several_machines.py outputs/bench trips/bench evaluate
 
 ``monitors``: 24 suspensions of three channels at 5000, 2000 and 2000 Hz send frames of 1 s for 20
 minutes of signal to Mosquitto; 1, 2 and 4 monitors take them (``source.part``) into one PostgreSQL.
 ``writers``: programs that do nothing but store trips as monitors do, with histories of some length,
 in one SQLite file and one PostgreSQL.
-``evaluate``: the trips of a folder, which should be many, read by processes of this machine and by
-a Dask cluster of as many workers.
+``evaluate``: the trips of a folder, which should be many, read by processes of this machine.
 
 All numbers are processor time of each program, as the system counts it, so that they hold on a busy
 machine; what starting a program takes is not counted, nor the sending of frames. Only trips/s are
@@ -23,9 +21,7 @@ of wall time.
 from __future__ import annotations
 
 import os
-import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -287,37 +283,21 @@ def writers(run: Path, trip: Path, kind: str, n_writers: int, n_before: int, n_t
 # evaluation
 
 
-def evaluate(run: Path, trips: Path, n_workers: int, is_dask: bool) -> None:
-    """Print the processor time of the evaluation of a folder, by local processes or by Dask."""
+def evaluate(run: Path, trips: Path, n_workers: int) -> None:
+    """Print the processor time of the evaluation of a folder by local processes."""
     with tempfile.TemporaryDirectory() as name:
-        folder, started = Path(name), []
-        options = [f"monitor.workers={n_workers}"]
-        if is_dask:
-            dask = [shutil.which("dask", path=f"{Path(sys.executable).parent}") or "dask"]
-            quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-            commands = [["scheduler", "--port", "8799", "--no-dashboard", "--host", "127.0.0.1"]]
-            worker = ["worker", "tcp://127.0.0.1:8799", "--nthreads", "1", "--no-dashboard"]
-            commands += [worker] * n_workers
-            started = [subprocess.Popen([*dask, *one], cwd=folder, **quiet) for one in commands]
-            options = ["monitor.cluster=tcp://127.0.0.1:8799"]
-            time.sleep(20)
-        before_s = cpu_s([p for one in started for p in family(one.pid)])
-        begin_s = time.monotonic()
-        arguments = [f"run={run}", f"trips={trips}", *options, "figures=false", "progress=false"]
-        pid = start("evaluate", [*arguments, "hydra.run.dir=out"], folder)
+        folder, begin_s = Path(name), time.monotonic()
+        arguments = [f"run={run}", f"trips={trips}", f"monitor.workers={n_workers}"]
+        arguments += ["figures=false", "progress=false", "hydra.run.dir=out"]
+        pid = start("evaluate", arguments, folder)
         spent_s = 0.0
         while (code := ended(pid, 0.5)) is None:
             spent_s = max(spent_s, cpu_s(family(pid)))
         assert code in (0, 2, 3, 4), (folder / "output.log").read_text()
         wall_s = time.monotonic() - begin_s
-        cluster_s = cpu_s([p for one in started for p in family(one.pid)]) - before_s
-        for one in started[::-1]:
-            one.terminate()
-            one.wait(30)
-    kind = "workers of Dask" if is_dask else "processes"
     print(
-        f"{n_workers} {kind}: {spent_s:.1f} s of the program with its processes, {cluster_s:.1f} s "
-        f"of the cluster, {wall_s:.0f} s of wall time",
+        f"{n_workers} processes: {spent_s:.1f} s of the program with its processes, "
+        f"{wall_s:.0f} s of wall time",
         flush=True,
     )
 
@@ -345,8 +325,7 @@ def main() -> None:
             for kind, n_before in product(given.stores, given.before):
                 writers(run, trips, kind, n, n_before, given.stored)
         else:
-            for is_dask in (False, True):
-                evaluate(run, trips, n, is_dask)
+            evaluate(run, trips, n)
 
 
 if __name__ == "__main__":

@@ -19,15 +19,15 @@ from suspnet.trains.maintenance import (
     Part,
     PlanSettings,
     Severity,
+    State,
     Train,
-    alarm_table,
     cusum,
     make_plan,
     make_series,
-    remaining_lives,
     residuals,
     threshold,
     watch,
+    with_lives,
 )
 
 plt.style.use("tableau-colorblind10")
@@ -48,7 +48,6 @@ estimates[:, 3] *= 1 - 0.13 * np.clip((km - 100_000) / 138_000, 0, None)
 
 values = dict(zip(names, estimates.T, strict=True))
 half_widths = {name: np.full(len(km), 2 * s) for name, s in zip(names, scatter, strict=True)}
-flagged = np.zeros(len(km), dtype=bool)
 
 # %%
 # What has changed
@@ -57,17 +56,19 @@ flagged = np.zeros(len(km), dtype=bool)
 # are older than ten. Its threshold comes from a stated budget, one false alarm in 1,000,000 km over
 # all four parameters.
 settings = ChangeSettings()
-watched = watch(make_series(km, values, half_widths, flagged), DEFAULT_LIMITS, settings)
-print(alarm_table(watched.alarms))
+series = make_series(km, values, half_widths)
+watched = watch(series, DEFAULT_LIMITS, settings)
+for alarm in watched.alarms:
+    print(f"{alarm.severity!s:7} {alarm.parameter} since {alarm.begin_km:,.0f} km: {alarm.words}")
 
-limit = threshold(2000 / settings.km_per_false_alarm / 4, settings.n_reference)
-rest = residuals(np.log(estimates), np.empty((*estimates.shape, 0)), settings.n_reference)
+limit = threshold(2000 / settings.km_per_false_alarm / 4)
+rest = residuals(np.log(estimates), np.empty((*estimates.shape, 0)))
 sums = cusum(rest.standard).max(axis=0)
 
 figure, axes = plt.subplots(2, 1, sharex=True, figsize=(5.0, 4.5), layout="constrained")
 for i, name in enumerate(names):
     axes[0].plot(km / 1000, 100 * estimates[:, i], ".", label=f"${name}$")
-    axes[1].semilogy(km[settings.n_reference :] / 1000, 1 + sums[:, i])
+    axes[1].semilogy(km[-len(sums) :] / 1000, 1 + sums[:, i])
 axes[1].axhline(1 + limit, color="0.3", ls="--", label="threshold")
 axes[0].set_ylabel("% of healthy")
 axes[1].set_ylabel("1 + CUSUM")
@@ -81,7 +82,7 @@ _ = axes[1].legend()
 # The mileage until an act limit is passed, as a distribution, with an interval that is meant to
 # hold the crossing in 80 of 100 cases. It is narrow for the damper, which fades steadily. A single
 # step, as that of the spring, says little about what is to come: that interval has no end.
-lives = remaining_lives(km, values, half_widths, flagged, DEFAULT_LIMITS)
+lives = with_lives(State(series, DEFAULT_LIMITS, watched)).lives
 for name, life in lives.items():
     print(f"{name}: {life}")
 
@@ -105,6 +106,8 @@ parts = [
     for j in range(2)
 ]
 plan = make_plan(parts, trains, PlanSettings(), date(2026, 1, 5))
-print(plan)
+print(plan.summary)
+for row in plan.rows():
+    print(f"{row['what']} {row['part']} of {row['train']}, {row['suspension']}, by {row['day']}")
 plan_calendar(plan, plt.figure(figsize=(5.0, 3.2), layout="constrained"))
 plt.show()

@@ -113,5 +113,5 @@ for problem in problems:
 
 # %%
 # The errors have the size of the paper's, and linear regression is last, as there. On the command
-# line ``suspnet-train experiment=table6`` has all methods, and ``experiment=paper`` every figure
-# and table: see :doc:`the paper, item by item </paper>`.
+# line ``suspnet-train experiment=table6`` has all methods, and ``benchmarks/paper_exhibits.py``
+# makes every figure and table of it: see :doc:`the paper, item by item </paper>`.

@@ -148,19 +148,18 @@ def trips_fitted_once():
     """Fit the same trips once for all boards of a module, which is most of the time of a view."""
     import pickle
 
-    from suspnet.trains.maintenance import fleet, life
+    from suspnet.trains.maintenance import state
 
-    known, fit = {}, life.fit_trips
+    known, predict = {}, state.predict_life
 
-    def once(*given):
-        key = pickle.dumps(given)
+    def once(*given, **options):
+        key = pickle.dumps((given, options))
         if key not in known:
-            known[key] = fit(*given)
+            known[key] = predict(*given, **options)
         return known[key]
 
     with pytest.MonkeyPatch.context() as patch:
-        for one in (life, fleet):
-            patch.setattr(one, "fit_trips", once)
+        patch.setattr(state, "predict_life", once)
         yield
 
 

@@ -63,8 +63,8 @@ REMOVED = {
     re.compile(r"'(protocol/components)'"): (
         "is gone: leave it out, as each part is read wherever healthy trips show it"
     ),
-    re.compile(r"(plan\.(?:visit|costs|step_days|plan_again_risk))\b"): (
-        "is gone: plan.risk, bundle_days and reach_km set what is done when"
+    re.compile(r"(plan\.(?:visit|costs|step_days|plan_again_risk|reach_km|notice_days))\b"): (
+        "is gone: plan.risk and bundle_days set what is done when"
     ),
     re.compile(r"override '(experiment)'"): (
         "is of train.py, studies are of evaluate.py: python train.py experiment=NAME"

@@ -167,7 +167,7 @@ def test_mistake_gets_one_line(override, message, tmp_path):
         (
             evaluate,
             ["study=maintenance", "store=x", "plan.costs.failure=20"],
-            "plan.costs is gone: plan.risk, bundle_days and reach_km set what is done when",
+            "plan.costs is gone: plan.risk and bundle_days set what is done when",
         ),
         (train, ["experiment=ablation"], "python benchmarks/ablation.py --help"),
         (evaluate, ["experiment=table6"], "python train.py experiment=NAME"),

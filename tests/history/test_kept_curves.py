@@ -43,7 +43,7 @@ def test_curves_are_read_back_as_they_were_written(store):
     assert np.abs(found[0].responses).max() > 1
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(st.data(), st.integers(0, 5))
 def test_whatever_curves_hold_comes_back(tmp_path_factory, data, n_freq):
     def drawn(kind, *shape):
@@ -74,7 +74,7 @@ def test_infinite_responses_come_back(store):
 # property
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(
     st.lists(
         st.tuples(st.sampled_from([math.nan, *(1e3 * i for i in range(12))]), st.booleans()),

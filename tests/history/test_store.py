@@ -16,7 +16,7 @@ from suspnet.ground.parameters import BOGIE_PARTS, Cause, Severity
 from suspnet.ground.records import VALUES, Place, Quality, TripResult
 from suspnet.trains.history import History, HistoryError
 from suspnet.trains.history.schema import SCHEMA, suspensions, trips
-from suspnet.trains.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm
+from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm
 from suspnet.trains.maintenance.series import Event
 from suspnet.trains.pages.bogie import worn_entries
 
@@ -65,7 +65,7 @@ def test_trips_are_read_back_as_they_were_written(store):
 words = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=20)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(
     words,
     words,
@@ -180,23 +180,6 @@ def test_acknowledgements_outlive_their_alarms(store):
     assert store.acknowledgements(VEHICLE, Place("other")) == []
 
 
-def test_alarms_of_sisters_and_those_of_the_trips_are_replaced_apart(store):
-    store.write([trip(0, with_curves=False), trip(1, with_curves=False, place=Place("x"))])
-    sister = Alarm("k_s", Cause.SISTER, Severity.NOTICE, 15_000.0)
-    store.keep_alarms(VEHICLE, PLACE, [sister], [Cause.SISTER])
-    store.keep_alarms(VEHICLE, PLACE, ALARMS, OWN_CAUSES)
-    assert len(store.alarms(VEHICLE, PLACE)) == 4
-    store.keep_alarms(VEHICLE, PLACE, ALARMS[:1], OWN_CAUSES)
-    assert repr(store.alarms(VEHICLE, PLACE)) == repr([ALARMS[0], sister])
-    both = {(VEHICLE, PLACE): [], (VEHICLE, Place("x")): [sister]}
-    store.keep_all_alarms(both, [Cause.SISTER])
-    assert repr(store.all_alarms()) == repr(
-        {(VEHICLE, PLACE): ALARMS[:1], (VEHICLE, Place("x")): [sister]}
-    )
-    store.keep_all_alarms(both)
-    assert list(store.all_alarms()) == [(VEHICLE, Place("x"))]
-
-
 # failure
 
 
@@ -212,8 +195,6 @@ def test_data_of_an_unknown_suspension_are_refused_as_a_whole(store):
     ):
         with pytest.raises(HistoryError, match="x is stored here; known: AM96 217: bogie 1"):
             change()
-    with pytest.raises(ValueError, match="alarms of limit are not of change, sister"):
-        store.keep_alarms(VEHICLE, PLACE, ALARMS, [Cause.CHANGE, Cause.SISTER])
     assert store.all_alarms() == {}
 
 

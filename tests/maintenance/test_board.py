@@ -3,7 +3,6 @@
 import pickle
 import shutil
 import threading
-from dataclasses import replace
 from datetime import date
 from functools import cache
 
@@ -13,13 +12,12 @@ from depot_trips import N_TRIPS, place, trips
 from empty_stores import KINDS, empty_store
 
 from suspnet.ground.parameters import Cause, Severity
-from suspnet.ground.records import Place
 from suspnet.trains.history import History, HistoryError
-from suspnet.trains.maintenance import fleet as fleet_module
-from suspnet.trains.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm
-from suspnet.trains.maintenance.fleet import fleet_state
+from suspnet.trains.maintenance import state as states_module
+from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm
 from suspnet.trains.maintenance.plan import plan_of
 from suspnet.trains.maintenance.series import Event
+from suspnet.trains.maintenance.state import fleet_state
 from suspnet.trains.pages import board as module
 from suspnet.trains.pages.board import Board, BoardSettings
 from suspnet.trains.pages.overview import address
@@ -29,8 +27,6 @@ TODAY = "2026-03-01"
 SETTINGS = BoardSettings(today=TODAY)
 FAILED = {"k_s": np.where(np.arange(N_TRIPS) < 38, 1.0, 1.5)}
 WORN = {"c_s": 1 - 0.2 * np.clip((np.arange(N_TRIPS) - 10) / 30, 0, None)}
-ODD = {"k_p": np.full(N_TRIPS, 0.96)}
-"""No change, less than a limit, and more than sisters differ by."""
 LEFT, RIGHT, OTHER = place("left"), place("right"), place("left", "4")
 FLEET = {LEFT: trips(LEFT, 0), RIGHT: trips(RIGHT, 1, FAILED), OTHER: trips(OTHER, 2, WORN)}
 N_WRITTEN = 30
@@ -91,7 +87,7 @@ def expected(store):
 @cache
 def states_of(series):
     """Return the states of a fleet, once for all stores that hold the same."""
-    return fleet_state(pickle.loads(series), {}, SETTINGS.changes, SETTINGS.sisters, SETTINGS.seed)
+    return fleet_state(pickle.loads(series), {}, SETTINGS.changes, SETTINGS.seed)
 
 
 def failing(*_, **__):
@@ -117,13 +113,6 @@ def test_a_first_view_is_what_the_functions_give(store, board):
     assert set(view.limits) == {"am96"}
 
 
-def test_an_address_is_short_and_distinguishes_suspensions():
-    places = [Place("a"), Place(side="a"), Place("a", car="1"), Place("<b>/../")]
-    found = {address((vehicle, where)) for vehicle in ("x", "y") for where in places}
-    assert len(found) == 8
-    assert all(len(one) == 12 and int(one, 16) >= 0 for one in found)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_board_follows_each_database(kind, tmp_path):
     store = empty_store(kind, tmp_path)
@@ -140,11 +129,11 @@ def test_a_board_follows_each_database(kind, tmp_path):
 # property
 
 
-def test_a_new_trip_is_computed_for_its_car_alone(store, board, monkeypatch):
+def test_a_new_trip_is_computed_for_its_suspension_alone(store, board, monkeypatch):
     before = {state.key: state for state in board.view.states}
-    watched, whole = [], fleet_module.watch
+    watched, whole = [], states_module.watch
     monkeypatch.setattr(
-        fleet_module, "watch", lambda *args: (watched.append(args[0].place), whole(*args))[1]
+        states_module, "watch", lambda *args: (watched.append(args[0].place), whole(*args))[1]
     )
     write(store, FLEET[OTHER][N_WRITTEN])
     assert board.refresh()
@@ -152,34 +141,17 @@ def test_a_new_trip_is_computed_for_its_car_alone(store, board, monkeypatch):
     after = {state.key: state for state in board.view.states}
     assert {key[1] for key in after if after[key] is before[key]} == {LEFT, RIGHT}
     assert len(after["am96", OTHER].series.trip) == N_WRITTEN + 1
-    # the prior of the rates is that of the first view, as few of the trips are new
-    assert alarms_of(after.values()) == alarms_of(expected(store))
-
-
-def test_rates_of_wear_are_learnt_again_with_a_tenth_of_new_trips(store, board, monkeypatch):
-    learnt, learn = [], fleet_module.learn_priors
-    monkeypatch.setattr(
-        fleet_module, "learn_priors", lambda *args: (learnt.append(1), learn(*args))[1]
-    )
-    n_before, new = 3 * N_WRITTEN, new_trips()
-    n_needed = next(n for n in range(1, 30) if n > 0.1 * (n_before + n))
-    write(store, *new[: n_needed - 1])
-    board.refresh()
-    assert not learnt
-    write(store, new[n_needed - 1])
-    board.refresh()
-    assert len(learnt) == 1
-    assert content_of(board.view.states) == content_of(expected(store))
-    before = board.view
+    assert content_of(after.values()) == content_of(expected(store))
+    shown = board.view
     write(store, *(r for results in FLEET.values() for r in results[:N_WRITTEN]))
     assert not board.refresh()  # the same trips again
-    assert board.view is before
+    assert board.view is shown
 
 
 def test_a_long_refresh_shows_what_it_has(store, monkeypatch):
     kept = Alarm("c_p", Cause.LIMIT, Severity.NOTICE, 2000.0, words="kept before")
     with History(store) as history:
-        history.keep_alarms("am96", LEFT, [kept], OWN_CAUSES)
+        history.keep_alarms("am96", LEFT, [kept])
     monkeypatch.setattr(module, "SHOWN_S", 0.0)
     monkeypatch.setattr(module, "AT_ONCE", 1)
     board, seen, view_of = Board(store, SETTINGS), [], module.fleet_view
@@ -202,8 +174,8 @@ def test_a_long_refresh_shows_what_it_has(store, monkeypatch):
 def test_acknowledgements_are_shown_without_computing_anything(store, board, monkeypatch):
     write(store, *FLEET[RIGHT])
     board.refresh()
-    monkeypatch.setattr(fleet_module, "watch", lambda *_: pytest.fail("watched again"))
-    monkeypatch.setattr(fleet_module, "remaining_lives", lambda *_: pytest.fail("predicted again"))
+    monkeypatch.setattr(states_module, "watch", lambda *_: pytest.fail("watched again"))
+    monkeypatch.setattr(states_module, "with_lives", lambda *_: pytest.fail("predicted again"))
     before = board.view
     assert before.rows[0]["acknowledged"] == ""
     seen = Acknowledgement("k_s", Cause.LIMIT, Severity.ACT, 8e4, "Kim", f"{TODAY}T08:00:00+00:00")
@@ -221,31 +193,6 @@ def test_acknowledgements_are_shown_without_computing_anything(store, board, mon
     assert board.refresh()
     state = board.view.states[board.view.keys[address(("am96", RIGHT))]]
     assert (state.severity, state.alarms) == (Severity.UNKNOWN, [])
-
-
-def test_alarms_of_sisters_are_stored_and_left_by_others(tmp_path):
-    store = str(tmp_path / "fleet.db")
-    sides = [place(side) for side in ("left", "right", "third")]
-    with History(store) as history:
-        for i, where in enumerate(sides):
-            history.write(trips(where, 20 + i, ODD if i == 2 else {}, n_trips=30))
-    boards = [Board(store, SETTINGS), Board(store, SETTINGS)]
-    assert all(board.refresh() for board in boards)
-    shown = {
-        state.key: [a for a in state.watched.alarms if a.cause == Cause.SISTER]
-        for state in boards[0].view.states
-    }
-    key = ("am96", sides[2])
-    with History(store) as history:
-        assert repr(history.all_alarms()) == repr({key: shown[key]})
-        own = [Alarm("k_p", Cause.CHANGE, Severity.NOTICE, 40_000.0)]
-        history.keep_alarms(*key, own, OWN_CAUSES)
-        assert {a.cause for a in history.alarms(*key)} == {Cause.CHANGE, Cause.SISTER}
-        before = history.revisions()
-    # neither board wakes the other, or itself
-    assert not any(board.refresh() for board in boards * 2)
-    with History(store) as history:
-        assert history.revisions() == before
 
 
 def test_another_day_is_planned_again(store, monkeypatch):
@@ -321,14 +268,6 @@ def test_a_store_that_fails_within_a_refresh_loses_nothing(store, method, monkey
     assert content_of(board.view.states) == content_of(expected(store))
 
 
-def test_a_store_that_may_only_be_read_is_shown(store, monkeypatch):
-    board = Board(store, SETTINGS)
-    monkeypatch.setattr(History, "keep_all_alarms", failing)
-    assert board.refresh()
-    assert board.view.trouble == ""
-    assert not board.refresh()
-
-
 def test_suspensions_that_are_gone_are_not_shown(store, board, tmp_path):
     (tmp_path / "fleet.db").unlink()
     write(store, *(r for where in (LEFT, OTHER) for r in FLEET[where][:N_WRITTEN]))
@@ -344,25 +283,3 @@ def test_inconsistent_limits_and_days_are_named(store):
     assert "vehicle am96: " in board.view.trouble
     with pytest.raises(ValueError, match="must be a day like"):
         BoardSettings(today="tomorrow")
-
-
-@pytest.mark.parametrize(
-    ("flagged", "severity", "kind"),
-    [
-        ([""] * 10, Severity.NONE, ""),
-        (["misfit"] * 4 + [""] + ["misfit"] * 4, Severity.NONE, ""),
-        (["misfit"] * 10, Severity.UNKNOWN, "all-last-flagged"),
-        ([""] * 5 + ["misfit"] * 5, Severity.UNKNOWN, "all-last-flagged"),
-    ],
-)
-def test_suspension_whose_last_trips_are_all_flagged_is_not_judged(
-    tmp_path, flagged, severity, kind
-):
-    made = trips(LEFT, 0, n_trips=len(flagged))
-    with History(tmp_path / "fleet.db") as store:
-        store.write([replace(one, flags=flag) for one, flag in zip(made, flagged, strict=True)])
-    board = Board(str(tmp_path / "fleet.db"), BoardSettings())
-    board.refresh()
-    (state,) = board.view.states
-    assert (state.severity, getattr(state.unjudged, "kind", "")) == (severity, kind)
-    assert ("not judged" in board.view.rows[0]["reason"]) == bool(kind)

@@ -1,6 +1,8 @@
 """CUSUM of pre-whitened trips against plain loops and against run lengths of the R package spc."""
 
 import math
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,18 +12,18 @@ from suspnet.trains.maintenance.cusum import (
     ALLOWANCE,
     CLIP,
     DELAY,
-    HORIZONS,
     LEAST_SPREAD,
     MAX_CORRELATION,
+    N_REFERENCE,
+    THRESHOLDS,
     autoregressive,
     cusum,
-    false_alarm_rate,
-    healthy_peaks,
     residuals,
     threshold,
 )
 
-N_REFERENCE = 20
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
+simulated = pytest.importorskip("thresholds", reason="needs benchmarks")
 RUN_LENGTHS = [
     (4, 0, 167.6837888),
     (4, 0.5, 26.63020309),
@@ -153,7 +155,7 @@ def test_run_lengths_are_those_of_spc(limit, mean, expected):
 def test_rate_is_first_alarms_over_trips_monitored():
     peaks = np.maximum.accumulate(np.random.default_rng(5).gamma(2.0, 2.0, (200, 40)), axis=0)
     rates = []
-    for horizon in HORIZONS:
+    for horizon in simulated.HORIZONS:
         alarms = trips = 0
         for history in peaks[:horizon].T:
             for peak in history:
@@ -163,14 +165,16 @@ def test_rate_is_first_alarms_over_trips_monitored():
                     break
         rates.append(alarms / trips)
     assert 0 < max(rates) < 1
-    assert false_alarm_rate(peaks, 12) == pytest.approx(max(rates), rel=1e-12)
+    assert simulated.false_alarm_rate(peaks, 12) == pytest.approx(max(rates), rel=1e-12)
 
 
-@pytest.mark.parametrize("rate", [5e-3, 5e-4])
-def test_threshold_is_the_least_that_keeps_the_rate(rate):
-    peaks = healthy_peaks(N_REFERENCE, 0.5, 0)
-    found = threshold(rate, N_REFERENCE)
-    assert false_alarm_rate(peaks, found) <= rate < false_alarm_rate(peaks, found - 0.05)
+@pytest.mark.slow
+def test_table_of_thresholds_is_that_of_simulated_histories():
+    peaks = simulated.healthy_peaks(8000)
+    for rate, limit in THRESHOLDS[1::4]:
+        assert simulated.least(peaks, rate) == pytest.approx(limit, abs=0.005)
+        assert threshold(rate) == pytest.approx(limit)
+    assert [rate for rate, _ in THRESHOLDS] == pytest.approx(simulated.RATES, rel=0.01)
 
 
 def test_threshold_keeps_the_rate_on_other_histories():
@@ -179,8 +183,8 @@ def test_threshold_keeps_the_rate_on_other_histories():
     z = residuals(values, np.empty((*values.shape, 0)), N_REFERENCE).standard
     peaks = np.maximum.accumulate(cusum(z).max(axis=0), axis=0)
     rate = 2e-3
-    first = (peaks <= threshold(rate, N_REFERENCE)).sum(axis=0)
-    for horizon in HORIZONS:
+    first = (peaks <= threshold(rate)).sum(axis=0)
+    for horizon in simulated.HORIZONS:
         allowed = stats.poisson.ppf(0.999, rate * np.minimum(first + 1, horizon).sum())
         assert (first < horizon).sum() <= allowed
 
@@ -200,7 +204,7 @@ def test_identical_trips_deviate_by_nothing_and_no_trips_leave_nothing():
 @pytest.mark.parametrize(("rate", "expected"), [(1.25e-5, 23.07), (3e-6, 25.93), (1.6e-6, 27.37)])
 def test_thresholds_of_rare_alarms_are_those_of_more_histories(rate, expected):
     """Expected ones are of 64,000 histories, which show these rates; 8,000 are extrapolated."""
-    assert -0.3 < threshold(rate, N_REFERENCE) - expected < 3
+    assert -0.3 < threshold(rate) - expected < 3
 
 
 # property
@@ -238,10 +242,10 @@ def test_an_outlier_never_widens_the_reference():
     np.testing.assert_allclose(found, expected, atol=0.5)
 
 
-def test_threshold_rises_with_correlation_and_as_alarms_get_rarer():
-    least, usual = (threshold(rate, N_REFERENCE) for rate in (0.5, 5e-4))
-    assert least == pytest.approx(CLIP, abs=1e-4)
-    assert least + 0.5 < threshold(5e-4, N_REFERENCE, 0.0) < usual
+def test_threshold_rises_as_alarms_get_rarer():
+    limits = threshold(np.geomspace(0.5, 1e-9, 50))
+    assert limits[0] == CLIP
+    assert (np.diff(limits) >= 0).all()
 
 
 # failure
@@ -260,11 +264,7 @@ def test_references_that_are_too_short_or_dependent_are_refused(n_reference, cov
         residuals(np.ones((30, 1)), covariates, n_reference)
 
 
-@pytest.mark.parametrize(
-    ("setting", "value"),
-    [("rate", 0.0), ("rate", 1.0), ("correlation", -0.1), ("correlation", 0.7)],
-)
-def test_bad_settings_of_a_threshold_are_refused(setting, value):
-    given = {"rate": 1e-3, "n_reference": N_REFERENCE, "correlation": 0.5} | {setting: value}
-    with pytest.raises(ValueError, match=f"`{setting}` must be"):
-        threshold(**given)
+@pytest.mark.parametrize("rate", [0.0, 1.0, np.nan])
+def test_bad_rates_are_refused(rate):
+    with pytest.raises(ValueError, match="`rate` must be"):
+        threshold(rate)

@@ -11,7 +11,6 @@ from trip_fixtures import model_at
 
 from suspnet.cli.evaluate import ALARMS, exit_code
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.ground.parameters import Cause
 from suspnet.ground.records import Place
 from suspnet.runs.tensorboard import RunLog
 from suspnet.trains.history import History
@@ -24,9 +23,9 @@ from suspnet.trains.pages.board import Board, BoardSettings
 pytestmark = pytest.mark.usefixtures("trips_fitted_once")
 K_AND_C = ("k_p", "c_p", "k_s", "c_s")
 SEED = 3
-NAMES = ("worn", "failed", "flagged", "few", "left", "right", "unsure")
-"""A worn damper, one that failed on flagged trips, a flagged spring, few trips, two sisters, and
-one whose newest trip is beyond a limit with an interval that reaches back."""
+NAMES = ("worn", "failed", "flagged", "few", "unsure")
+"""A worn damper, one that failed on flagged trips, a flagged spring, few trips, and one whose
+newest trip is beyond a limit with an interval that reaches back."""
 
 
 def with_last(results, **changes):
@@ -42,11 +41,9 @@ def made_up(where, vehicle):
         "failed": {"c_s": np.where(trip > 20, 0.55, 1)},
         "flagged": {"k_s": 1 - 0.006 * trip},
         "few": {"k_p": 1 - 0.02 * trip},
-        "left": {},
-        "right": {"k_p": np.where(trip < 5, 1, 0.94)},  # within its limits
         "unsure": {"k_p": np.where(trip > 20, 0.89, 1)},
     }
-    name, n_trips = where.suspension, {"few": 7, "flagged": 12, "left": 12, "right": 12}
+    name, n_trips = where.suspension, {"few": 7, "flagged": 8}
     results = trips(where, NAMES.index(name), wear[name], n_trips=n_trips.get(name, 24))
     if name == "flagged":
         results = [replace(r, flags="odd") for r in results]
@@ -67,7 +64,7 @@ def outcomes(request, tmp_path_factory):
     settings = FleetSettings(TripSettings(), reference=request.param)
     of_place = {}
     for name in NAMES:
-        where = Place(name, train="12", car="pair" if name in ("left", "right") else name)
+        where = Place(name, train="12", car=name)
         (folder / "trips" / name).mkdir(parents=True)
         for one in made_up(where, model.vehicle.name):
             path = folder / "trips" / name / f"{name}_{one.trip}.yaml"
@@ -138,8 +135,6 @@ def test_report_fleet_page_and_plan_give_the_same_remaining_lives(outcomes):
             median = life.quantile_km(0.5)
             assert one["life"]["median_km"] == (median if np.isfinite(median) else None)
     assert n_known > 10
-    text = (folder / "out" / "worn" / "report.html").read_text()
-    assert "Predicted: with the rates of wear of 7 suspensions of the history" in text
     assert reports["flagged", "k_s"]["unknown_life"] == "all of the last 5 trips are flagged"
     in_plan = {(row["suspension"], row["parameter"]): row["unknown"] for row in view.plan.rows()}
     unknown = {key: one["unknown_life"] for key, one in reports.items() if one["unknown_life"]}
@@ -156,7 +151,6 @@ def test_report_overview_plan_and_fleet_page_give_the_same_severities_and_reason
     assert severities == {row["suspension"]: row["severity"] for row in view.rows}
     assert severities == {name: row["severity"] for name, row in table.items()}
     assert severities == {one.name: str(one.severity) for one in done}
-    assert severities["right"] == "notice"  # differs from its sister, within its own limits
     assert severities["unsure"] == "unknown"
     assert severities["failed"] == "act"
     for row in view.rows:
@@ -167,14 +161,6 @@ def test_report_overview_plan_and_fleet_page_give_the_same_severities_and_reason
     for row in view.plan.rows():
         assert row["severity"] == of_each[row["suspension"], row["parameter"]]
     assert exit_code(done) == max(ALARMS.get(state.severity, 0) for state in view.states)
-
-
-def test_alarms_of_a_sister_are_in_report_and_on_the_fleet_page(outcomes):
-    folder, view, _ = outcomes
-    metrics = json.loads((folder / "out" / "right" / "metrics.json").read_text())
-    (words,) = [one["words"] for one in metrics["alarms"] if one["cause"] == "sister"]
-    (state,) = [one for one in view.states if one.series.place.suspension == "right"]
-    assert [one.words for one in state.alarms if one.cause == Cause.SISTER] == [words]
 
 
 def test_series_and_trips_of_the_store_are_those_of_the_report(outcomes):
@@ -191,20 +177,3 @@ def test_series_and_trips_of_the_store_are_those_of_the_report(outcomes):
         assert [r.half_widths for r in stored] == [r.half_widths for r in one.results]
         for name, column in series.estimates.items():
             assert column.tolist() == [r.estimates[name] for r in stored]
-
-
-def test_report_of_one_suspension_says_that_no_fleet_is_known(tmp_path):
-    model = model_at()
-    only = made_up(Place("worn"), model.vehicle.name)
-    (tmp_path / "trips").mkdir()
-    for one in only:
-        (tmp_path / "trips" / f"{one.trip}.yaml").write_text("suspension: worn\n")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fleet, "evaluate_trip", lambda file, *_, **__: only[int(file.path.stem[-3:])])
-        patch.setattr(RunLog, "figure", lambda *_: None)
-        patch.setattr(report, "data_uri", lambda _: "")
-        settings = FleetSettings(TripSettings())
-        evaluate_fleet(tmp_path / "trips", [model], tmp_path / "out", settings, False)
-    text = (tmp_path / "out" / "report.html").read_text()
-    assert "Predicted: by this suspension alone, as no other of its vehicle shows how fast" in text
-    assert "(store=) the plan of a fleet may give others" in text

@@ -120,10 +120,9 @@ LAST = Finding(
 )
 UNITS = Finding("one-of", allowed=["g"])
 SAID = {
-    together((LAST, Finding("steadily", words=Finding("falls-to", percent=62.0, n_ends=5)))): (
+    together((LAST, Finding("fell", percent=38.0, km=12_000.0))): (
         "die letzte Fahrt liegt bei 62,1 % des Referenzwerts, unter der Eingriffsgrenze von 70 %; "
-        "sinkt auf 62 % des Referenzwerts (Median der letzten 5 Fahrten), stetig über der "
-        "Laufleistung"
+        "sank um 38 % bei etwa 12 000 km"
     ),
     finding(
         [{"severity": "act"}, {"severity": "act"}, {"severity": "none"}]

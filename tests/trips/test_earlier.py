@@ -9,20 +9,19 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from trip_fixtures import changed, recalled_trip
-from trip_records import fleet, trip
+from trip_records import trip
 
 from suspnet.estimation.bogie_model import BogieModel
 from suspnet.estimation.estimate import HealthyValues
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.ground.parameters import COMPONENTS, DEFAULT_LIMITS
+from suspnet.ground.parameters import COMPONENTS, DEFAULT_LIMITS, Cause
 from suspnet.ground.records import ERROR, SensorHealth, sensors_text
 from suspnet.trains.history import History
 from suspnet.trains.jobs import fleet as fleet_module
 from suspnet.trains.jobs.fleet import FleetSettings, evaluate_fleet
-from suspnet.trains.maintenance import Acknowledgement, Cause, Severity
+from suspnet.trains.maintenance import Acknowledgement, Severity
 from suspnet.trains.maintenance.alarms import watch
 from suspnet.trains.maintenance.change import ChangeSettings
-from suspnet.trains.maintenance.relative import between
 from suspnet.trains.maintenance.series import Event, series_of
 from suspnet.trains.trips.earlier import keep_trips, with_earlier
 
@@ -98,20 +97,6 @@ def test_trips_read_part_by_part_are_not_those_of_a_model_of_equal_sides(model, 
     store.write([first])
     assert with_earlier([second], first.place, [of_parts], store)[1].trip == first.trip
     assert with_earlier([second], first.place, [model], store) == [second]
-
-
-def test_trips_between_maintenance():
-    results = fleet(10, missing=(), with_curves=False)
-    assert between([], results) == [results]
-    lost = replace(results[0], mileage_km=np.nan)
-    events = [Event(50_000.0), Event(20_000.0), Event(1e6)]
-    found = between(events, [lost, *results[::-1]])
-    assert [[r.mileage_km for r in part] for part in found[:3]] == [
-        [1e4],
-        [4e4, 3e4, 2e4],
-        [1e4 * i for i in range(10, 4, -1)],
-    ]
-    assert found[3] == [lost]
 
 
 def test_alarms_are_kept_and_name_who_acknowledged_them(

@@ -8,7 +8,8 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from trip_records import HALF_WIDTHS, OUTPUTS, curves, flagged, fleet, trend_of, trip
 
-from suspnet.trains.maintenance import Alarm, Cause, Life, Severity
+from suspnet.ground.parameters import Cause
+from suspnet.trains.maintenance import Alarm, Life, Severity
 from suspnet.trains.pages import trend, trip_figures
 from suspnet.trains.pages.maintenance_figures import AHEAD, health_trend
 from suspnet.trains.pages.trend import LEAST_SPAN_PERCENT

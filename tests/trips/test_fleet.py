@@ -4,7 +4,6 @@ import csv
 import json
 import os
 import shutil
-import sys
 from dataclasses import replace
 from html import unescape
 
@@ -27,9 +26,6 @@ from suspnet.ground.storage import read_arrays, read_plain
 from suspnet.trains.jobs import fleet
 from suspnet.trains.jobs.fleet import FleetSettings, evaluate_fleet
 from suspnet.trains.maintenance.alarms import Alarm
-from suspnet.trains.maintenance.series import series_of
-from suspnet.trains.maintenance.state import State
-from suspnet.trains.maintenance.trend import LEAST_PERCENT
 from suspnet.trains.pages import output
 from suspnet.trains.pages.output import (
     coverage_percent,
@@ -112,15 +108,6 @@ def test_bad_trips_are_rows_and_the_others_as_if_alone(done, alone):
     assert "the model reads 64.4 to 75.6 m/s" in results[2].reason
     assert results[5].reason.startswith("channel 'body' is constant (0) throughout")
     assert results[6].reason.startswith("is not valid YAML")
-
-
-def test_dask_changes_nothing(manifests, model, alone, no_figures, tmp_path):
-    distributed = pytest.importorskip("distributed", reason="needs the extra cluster")
-    options = {"n_workers": 1, "threads_per_worker": 1, "processes": False}
-    with distributed.LocalCluster(**options, dashboard_address=":0") as cluster:
-        settings = FleetSettings(TRIPS, cluster=cluster.scheduler_address)
-        results = read(manifests[0].parent, [model], tmp_path, settings)
-    assert estimates(results) == estimates(alone)
 
 
 def test_errors_and_coverage_are_the_naive_ones(alone):
@@ -409,22 +396,6 @@ def test_dead_sensors_and_alarms_of_sensors_are_printed(alone):
     assert second.endswith(f"it {constant} {names}")
 
 
-def test_change_below_what_the_model_resolves_does_not_count(model):
-    """k_p falls by 1 %, c_s by 40 % in the made-up fleet."""
-    series = series_of(made_up(with_curves=False))
-
-    def changed_with(*errors):
-        rms = [{"test_rms_percent": dict.fromkeys(OUTPUTS, error)} for error in errors]
-        least = fleet.least_percent(OUTPUTS, [replace(model, training=one) for one in rms])
-        assessments = State(series, DEFAULT_LIMITS, least_percent=least).assessments
-        return {one.parameter for one in assessments if one.trend.changed}
-
-    assert LEAST_PERCENT < 0.2
-    assert changed_with(0.0) == changed_with(0.1) == {"k_p", "c_s"}
-    assert changed_with(1.0) == changed_with(0.1, 1.0) == changed_with(1.0, 0.1) == {"c_s"}
-    assert changed_with(50.0) == set()
-
-
 # failure
 
 
@@ -491,13 +462,6 @@ def test_settings_are_checked(change, message):
         FleetSettings(TRIPS, **change)
 
 
-def test_cluster_needs_dask(monkeypatch):
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ValueError, match=r'distributed is missing: .*"\.\[cluster\]"'):
-        FleetSettings(TRIPS, cluster="local")
-    assert FleetSettings(TRIPS).cluster is None
-
-
 # intervals and flags
 
 
@@ -545,7 +509,6 @@ def test_level_and_flags_are_counted(manifests, model, no_figures, monkeypatch, 
     n = len(model.intervals.conformal.scores)
     assert metrics["details"]["intervals"].startswith(f"95 %, calibrated on {n} simulated curves")
     assert metrics["details"]["healthy is"].endswith("(k and c), 1 of them flagged")
-    assert metrics["trends"][0]["words"].endswith("; 1 of the first 3 trips is flagged")
 
 
 def test_model_without_calibration_gives_no_intervals(manifests, model, no_figures, tmp_path):

@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 from trip_records import FLAG, HALF_WIDTHS, OUTPUTS, flagged, fleet, trend_of, trip
 
 from suspnet.ground.findings import WITHOUT_SENSORS, Finding, of, together
-from suspnet.ground.parameters import DEFAULT_LIMITS
+from suspnet.ground.parameters import DEFAULT_LIMITS, Cause
 from suspnet.ground.records import Place
 from suspnet.runs import figures
 from suspnet.runs.language import speaking
-from suspnet.trains.maintenance import Acknowledgement, Alarm, Cause, Life, Severity
+from suspnet.trains.maintenance import Acknowledgement, Alarm, Life, Severity
 from suspnet.trains.maintenance.alarms import Watched
 from suspnet.trains.maintenance.series import make_series, series_of
 from suspnet.trains.maintenance.state import State
@@ -118,7 +118,7 @@ def test_headline_and_verdicts_appear(whole):
     for one in state_of(results).assessments:
         assert one.words in words
     assert words.count("▲") == 4  # k_p and c_s, and where the mark is explained
-    assert "falls by 1.1 % at about 240 000 km, within its limits" in words
+    assert "fell by 1 % at about 245 000 km, within its limits" in words
     assert "80 to 125 70 to 140" in words  # the limits of a damper
     assert "They do not show lateral and yaw dampers" in words
 
@@ -181,7 +181,7 @@ def test_hostile_names_are_escaped(tmp_path):
         ([], "No trip has an estimate"),
         (
             [trip(i) if i > 4 else trip(i, estimates={"k_p": 1.0}) for i in range(12)],
-            "some parameters have too few trips to find a change",
+            "there are too few trips to find a change",
         ),
     ],
 )

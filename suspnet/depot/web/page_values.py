@@ -15,8 +15,7 @@ from suspnet.ground.wording import natural
 from suspnet.runs.language import spoken
 from suspnet.trains.history.arrays import TripResponses
 from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm, newest_of
-from suspnet.trains.maintenance.plan import place_of
-from suspnet.trains.maintenance.schedule import joined
+from suspnet.trains.maintenance.plan import joined, place_of
 from suspnet.trains.maintenance.state import State
 from suspnet.trains.pages.bogie import bogie_of, bogies_shown, small_figures, why_no_part
 from suspnet.trains.pages.overview import FleetView, finding

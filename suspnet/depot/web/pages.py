@@ -34,7 +34,7 @@ from suspnet.runs.figures import as_svg
 from suspnet.runs.language import N_, current, day, gettext, spoken
 from suspnet.trains.history import HistoryError
 from suspnet.trains.maintenance.alarms import Alarm
-from suspnet.trains.maintenance.schedule import Plan
+from suspnet.trains.maintenance.plan import Plan
 from suspnet.trains.maintenance.state import State
 from suspnet.trains.pages.bogie import visits_of
 from suspnet.trains.pages.maintenance_figures import plan_calendar

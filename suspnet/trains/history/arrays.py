@@ -20,7 +20,6 @@ from suspnet.ground.records import (
     OK,
     VALUES,
     Key,
-    TripCurves,
     TripResult,
     or_nan,
     to_arrays,
@@ -35,11 +34,14 @@ from suspnet.trains.history.schema import (
     bad_row,
     check_types,
     curves,
+    is_of,
+    is_one_of,
+    known_suspensions,
+    read_stored,
     suspensions,
     trip_key,
     trips,
 )
-from suspnet.trains.history.suspensions import is_of, is_one_of, known_suspensions, read_stored
 from suspnet.trains.maintenance.directions import SIGNS
 from suspnet.trains.maintenance.series import NUMBERS, Event, Series, make_series
 
@@ -70,25 +72,25 @@ class Reference:
     healthy_si: Mapping[str, float]
 
 
-def is_comparable(
+def comparable(
     references: Iterable[Reference], results: Sequence[TripResult]
-) -> sql.ColumnElement[bool]:
-    """Return the condition that a trip is relative to one of `references`, or has no estimate.
+) -> tuple[sql.ColumnElement[bool], sql.ColumnElement[bool]]:
+    """Return the conditions that a trip is comparable with `results`, and that it is not.
 
-    It also holds for the trips of `results`.
+    A trip is if it is relative to one of `references`, has no estimate, or is of `results`. One
+    with a start is neither if it is one of `results` that has none: it is the same trip.
     """
     own = trips.c.key.in_([trip_key(result) for result in results])
-    return _certain(sql.or_(trips.c.status != OK, own, *map(_is_relative_to, references)))
-
-
-def is_dated_again(results: Sequence[TripResult]) -> sql.ColumnElement[bool]:
-    """Return the condition that a trip with a start is one of `results` that has none."""
+    chosen = sql.or_(trips.c.status != OK, own, *map(_is_relative_to, references))
     same = (
         sql.and_(trips.c.trip == result.trip, _is(trips.c.mileage_km, result.mileage_km))
         for result in results
         if not result.start
     )
-    return _certain(sql.and_(trips.c.start != "", sql.or_(sql.false(), *same)))
+    is_again = sql.and_(trips.c.start != "", sql.or_(sql.false(), *same))
+    # false, not NULL, where a column is NULL
+    chosen, is_again = (sql.func.coalesce(c, sql.false()) for c in (chosen, is_again))
+    return sql.and_(chosen, ~is_again), sql.and_(~chosen, ~is_again)
 
 
 def _is_relative_to(reference: Reference) -> sql.ColumnElement[bool]:
@@ -97,11 +99,6 @@ def _is_relative_to(reference: Reference) -> sql.ColumnElement[bool]:
         return sql.false()
     same = (sql.func.abs(trips.c[name] - v) <= SAME * abs(v) for name, v in healthy.items())
     return sql.and_(_is(trips.c.healthy_since_km, reference.since_km), *same)
-
-
-def _certain(condition: sql.ColumnElement[bool]) -> sql.ColumnElement[bool]:
-    """Return a condition that is false, not NULL, where a column is NULL."""
-    return sql.func.coalesce(condition, sql.false())
 
 
 def _is(column: sql.Column[float], value: float) -> sql.ColumnElement[bool]:
@@ -271,7 +268,12 @@ def write_curves(
             curves.c.suspension_id == sql.bindparam("of"), curves.c.key == sql.bindparam("gone")
         )
         connection.execute(curves.delete().where(match), gone)
-    rows = [_row(suspension, key, own) for key, own in new.items() if key in kept]
+    rows = []
+    for key in new.keys() & kept:
+        arrays = to_arrays(new[key])
+        content = dump_arrays({name: arrays[name] for name in NAMES})
+        row = {"suspension_id": suspension, "key": key, "arrays": content}
+        rows.append(row | {"sha256": hashlib.sha256(content).hexdigest()})
     upsert(connection, curves, rows)
 
 
@@ -288,38 +290,25 @@ def read_responses(
     chosen = (
         sql.select(*columns).join_from(curves, trips, _same_trip()).join(suspensions).where(where)
     )
-    rows = connection.execute(chosen).all()
-    for row in rows:
+    found = []
+    for row in connection.execute(chosen).all():
         if not all(isinstance(value, kind) for value, kind in zip(row, ROW, strict=True)):
             raise HistoryError(at(name, "curves-damaged"))
-    rows = sorted(rows, key=lambda row: _order(row[1], row[2], row[0]))
-    return [_responses(*row, name=name) for row in rows]
+        trip, mileage_km, start, content, sha256 = row
+        what = f"{name}: the stored curves of {trip}"
+        try:
+            stored = load_arrays(bytes(content), what, sha256)
+        except DamagedFileError as error:
+            raise HistoryError(" ".join(str(error).split())) from None
+        shapes = {key: array.shape for key, array in stored.items()}
+        both = (2, *shapes.get("frequencies_hz", ()))
+        if shapes != dict.fromkeys(NAMES, both) | {"frequencies_hz": both[1:]} or len(both) != 2:
+            raise HistoryError(f"{what} is damaged: it holds {shapes}")
+        responses = to_responses(stored.pop("real"), stored.pop("imaginary"))
+        found.append(TripResponses(trip, or_nan(mileage_km), start, responses=responses, **stored))
+    return sorted(found, key=lambda curves: _order(curves.mileage_km, curves.start, curves.trip))
 
 
 def _same_trip() -> sql.ColumnElement[bool]:
     is_same_suspension = curves.c.suspension_id == trips.c.suspension_id
     return sql.and_(is_same_suspension, curves.c.key == trips.c.key)
-
-
-def _row(suspension: int, key: bytes, own: TripCurves) -> dict[str, object]:
-    arrays = to_arrays(own)
-    content = dump_arrays({name: arrays[name] for name in NAMES})
-    digest = hashlib.sha256(content).hexdigest()
-    return {"suspension_id": suspension, "key": key, "arrays": content, "sha256": digest}
-
-
-def _responses(
-    trip: str, mileage_km: float | None, start: str, content: bytes, sha256: str, *, name: str
-) -> TripResponses:
-    """Return curves from their stored bytes; HistoryError if these were altered."""
-    what = f"{name}: the stored curves of {trip}"
-    try:
-        arrays = load_arrays(bytes(content), what, sha256)
-    except DamagedFileError as error:
-        raise HistoryError(" ".join(str(error).split())) from None
-    shapes = {key: array.shape for key, array in arrays.items()}
-    both = (2, *shapes.get("frequencies_hz", ()))
-    if shapes != dict.fromkeys(NAMES, both) | {"frequencies_hz": both[1:]} or len(both) != 2:
-        raise HistoryError(f"{what} is damaged: it holds {shapes}")
-    responses = to_responses(arrays.pop("real"), arrays.pop("imaginary"))
-    return TripResponses(trip, or_nan(mileage_km), start, responses=responses, **arrays)

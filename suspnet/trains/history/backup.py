@@ -7,6 +7,7 @@ import os
 import secrets
 import shutil
 import sqlite3
+from collections.abc import Sequence
 from contextlib import closing, suppress
 from pathlib import Path
 
@@ -33,12 +34,8 @@ def back_up(place: str, copy: Path, *, replace: bool = False) -> int:
         raise HistoryError(f"{copy}: there is such a file; give another name, or --replace")
     if copy.exists() and copy.samefile(place):
         raise HistoryError(f"{copy} is the store itself; give another name for the backup")
-    for path in (copy.with_name(copy.name + end) for end in COMPANIONS):
-        if os.path.lexists(path):
-            raise HistoryError(
-                f"{path}: a program writes to {copy}, or was killed while it did; give another name"
-            )
-    _check_own(copy)
+    used = "a program writes to this backup, or was killed while it did; give another name"
+    _check_absent(copy, COMPANIONS, used)
     return _copied(Path(place), copy, replace=replace)
 
 
@@ -49,15 +46,10 @@ def restore(copy: Path, place: str) -> int:
     SQLite would apply to the restored store, or if the backup is damaged or not a store.
     """
     _check_file(place)
-    for path in (place, *(place + end for end in COMPANIONS)):
-        if os.path.lexists(path):
-            raise HistoryError(
-                f"{path}: nothing is replaced: move this file away first, and end the programs "
-                "that use the store"
-            )
+    there = "nothing is replaced: move this file away first, and end the programs that use it"
+    _check_absent(Path(place), ("", *COMPANIONS), there)
     if not copy.is_file():
         raise HistoryError(f"{copy}: there is no such backup")
-    _check_own(copy)
     return _copied(copy, Path(place))
 
 
@@ -69,11 +61,10 @@ def _check_file(place: str) -> None:
         )
 
 
-def _check_own(path: Path) -> None:
-    try:
-        check_own(path, APPLICATION_ID, MARKER, "store of suspnet")
-    except ValueError as error:
-        raise HistoryError(str(error)) from None
+def _check_absent(path: Path, ends: Sequence[str], words: str) -> None:
+    for found in (path.with_name(path.name + end) for end in ends):
+        if os.path.lexists(found):
+            raise HistoryError(f"{found}: {words}")
 
 
 def _copied(source: Path, target: Path, *, replace: bool = False) -> int:
@@ -84,6 +75,8 @@ def _copied(source: Path, target: Path, *, replace: bool = False) -> int:
     temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}")
     address = f"{source.absolute().as_uri()}?mode=ro"
     try:
+        for path in (source, target):
+            check_own(path, APPLICATION_ID, MARKER, "store of suspnet")
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
         with (
             closing(sqlite3.connect(address, uri=True, timeout=WAIT_S)) as old,
@@ -102,11 +95,8 @@ def _copied(source: Path, target: Path, *, replace: bool = False) -> int:
         os.replace(temporary, target)
     except (sqlite3.Error, OSError) as error:
         raise HistoryError(f"{source} cannot be copied to {target} ({error})") from None
+    except ValueError as error:  # not a store of ours
+        raise HistoryError(str(error)) from None
     finally:
         temporary.unlink(missing_ok=True)
-    folder = os.open(target.absolute().parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
     return size

@@ -26,8 +26,17 @@ from suspnet.ground.parameters import Severity
 from suspnet.ground.records import Key
 from suspnet.ground.storage import content_hash, json_bytes
 from suspnet.trains.history.database import upsert
-from suspnet.trains.history.schema import BadRow, or_null, outbox, suspensions, told, trips
-from suspnet.trains.history.suspensions import is_one_of, known_suspensions, read_stored
+from suspnet.trains.history.schema import (
+    BadRow,
+    is_one_of,
+    known_suspensions,
+    or_null,
+    outbox,
+    read_stored,
+    suspensions,
+    told,
+    trips,
+)
 from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm, newest_of
 
 LEASE_S = 300.0
@@ -118,7 +127,6 @@ class Outbox:
         bad: list[BadRow],
     ) -> None:
         self._reading, self._writing, self._bad = reading, writing, bad
-        self._fleet = _Fleet()
 
     def look(self, recipients: Iterable[Recipient], now: datetime, zone: tzinfo | None) -> int:
         """Queue messages about what is new to each recipient, and return their number.
@@ -126,13 +134,13 @@ class Outbox:
         `now` has a zone; digests are due by the clock of `zone` (None: this computer's). Alarms
         that were cleared before a recipient was first named are never sent to it.
         """
-        fleet = self._fleet
-        with self._reading() as connection:
-            fleet.update(connection, self._bad)
+        with self._reading() as connection:  # which blocks no writer
+            fleet = _Fleet(connection, self._bad)
         with self._writing() as connection:
             if connection.dialect.name == "postgresql":
                 connection.execute(sql.select(sql.func.pg_advisory_xact_lock(LOCK)))
-            fleet.update(connection, self._bad)  # with what changed in between
+            if _revisions(connection) != fleet.revisions:  # something changed in between
+                fleet = _Fleet(connection, self._bad)
             old = outbox.c.sent_s < now.timestamp() - KEPT_S
             connection.execute(outbox.delete().where(old, outbox.c.kind != START))
             return sum(_queue(connection, r, fleet, now, zone) for r in recipients)
@@ -202,49 +210,38 @@ class Outbox:
             return connection.execute(again.values(attempts=0, due_s=0.0)).rowcount
 
 
+def _revisions(connection: Connection) -> dict[int, int]:
+    chosen = sql.select(suspensions.c.id, suspensions.c.revision)
+    return {row[0]: row[1] for row in connection.execute(chosen)}
+
+
 class _Fleet:
-    """Alarms of all suspensions with what messages say about them, as of the last `update`."""
+    """Alarms of all suspensions with what messages say about them.
 
-    def __init__(self) -> None:
-        self.ids: dict[Key, int] = {}
-        self.alarms: dict[Key, list[Alarm]] = {}
-        self.seen: dict[Key, list[Acknowledgement]] = {}
-        self.newest_km: dict[int, float] = {}
-        self._read: dict[int, int] = {}
-        """Revisions up to which suspensions were read."""
+    Unreadable rows are left out and appended to `bad`.
+    """
 
-    def update(self, connection: Connection, bad: list[BadRow]) -> None:
-        """Read the suspensions that changed; unreadable rows are appended to `bad`."""
-        read = sql.select(suspensions.c.id, suspensions.c.revision)
-        now = {row[0]: row[1] for row in connection.execute(read)}
-        self._read = {number: n for number, n in self._read.items() if now.get(number) == n}
-        self.ids = {key: number for key, number in self.ids.items() if number in now}
-        changed = now.keys() - self._read.keys()
-        if not changed:
-            return
-        unread: list[BadRow] = []
-        where = is_one_of(suspensions.c.id, changed)
-        known = known_suspensions(connection, where, unread)
-        ids = {key: number for number, (key, _) in known.items()}
-        self.ids |= ids
-        self.alarms |= {key: [] for key in ids} | read_stored(connection, Alarm, unread, where)
-        seen = read_stored(connection, Acknowledgement, unread, where)
-        self.seen |= {key: [] for key in ids} | seen
+    def __init__(self, connection: Connection, bad: list[BadRow]) -> None:
+        self.revisions = _revisions(connection)
+        known = known_suspensions(connection, bad=bad)
+        self.ids = {key: number for number, (key, _) in known.items()}
+        self.alarms = read_stored(connection, Alarm, bad)
+        self.seen = read_stored(connection, Acknowledgement, bad)
+        open_ids = [
+            self.ids[key]
+            for key, own in self.alarms.items()
+            if key in self.ids and any(alarm.is_open for alarm in own)
+        ]
         newest = sql.select(trips.c.suspension_id, sql.func.max(trips.c.mileage_km))
-        newest = newest.where(is_one_of(trips.c.suspension_id, changed))
+        newest = newest.where(is_one_of(trips.c.suspension_id, open_ids))
         rows = connection.execute(newest.group_by(trips.c.suspension_id))
-        self.newest_km |= {row[0]: row[1] for row in rows}
-        bad += unread
-        # those with unreadable rows are read again at the next look: a row may be corrected by hand
-        damaged = {row.key for row in unread}
-        self._read |= {number: now[number] for key, number in ids.items() if key not in damaged}
+        self.newest_km = {row[0]: row[1] for row in rows}
 
     def up_to_km(self, key: Key, alarm: Alarm) -> float:
         """Return the mileage up to which an alarm is known."""
         if not alarm.is_open:
             return alarm.end_km
-        newest = self.newest_km.get(self.ids[key])
-        return alarm.begin_km if newest is None else max(newest, alarm.begin_km)
+        return max(self.newest_km.get(self.ids[key]) or alarm.begin_km, alarm.begin_km)
 
     def entry(self, key: Key, alarm: Alarm, state: str) -> dict[str, Any]:
         """Return an alarm as messages contain it."""
@@ -267,8 +264,8 @@ class _Fleet:
         }
 
 
-Of = tuple[int, str, str]
-"""Suspension, parameter and cause of the alarms of which the last reported one is noted."""
+OF = ("suspension_id", "parameter", "cause")
+"""What alarms share of which the last reported one is noted."""
 
 
 def _queue(
@@ -277,41 +274,43 @@ def _queue(
     """Queue the messages of a recipient that are due, and note what they contain."""
     # a row that is never sent says since when the recipient is known
     name, local = recipient.name, now.astimezone(zone)
-    is_first = not _has(connection, _digest(name, START))
-    if is_first:
-        _insert(connection, _digest(name, START), name, ("", ""), START, {}, now, is_sent=True)
+    is_first = _insert(connection, _digest(name, START), name, ("", ""), START, {}, now)
     # the id of a message follows from what it says, so that none is queued twice
     today = local.date().isoformat()
-    of_today = {to: _digest(_digest(name, "digest", today), *to) for to in recipient.targets}
+    of_today = _digest(name, "digest", today)
     is_due = recipient.digest is not None and local.time() >= recipient.digest
-    is_due = is_due and not any(_has(connection, number) for number in of_today.values())
+    is_due &= not any(_has(connection, _digest(of_today, *to)) for to in recipient.targets)
     urgent, listed = _chosen(connection, recipient, fleet, is_first, is_due)
-    n_queued = 0
+    messages: list[tuple[str, str, dict[str, Any]]] = []
     if urgent:
         about = _digest(name, "alarms", *sorted(entry["event"] for entry in urgent))
-        for to in recipient.targets:
-            number = _digest(about, *to)
-            if not _has(connection, number):
-                _insert(connection, number, name, to, "alarms", {"alarms": urgent}, now)
-                n_queued += 1
+        messages.append((about, "alarms", {"alarms": urgent}))
     if is_due:  # active alarms first, then the most severe
         listed.sort(key=lambda entry: (entry["end_km"] is not None, entry["severity"] != "act"))
         n_own = sum(recipient.is_about(key) for key in fleet.ids)
         content = {"day": today, "alarms": listed, "n_suspensions": n_own}
-        for to, number in of_today.items():
-            _insert(connection, number, name, to, "digest", content, now)
-            n_queued += 1
-    return n_queued
+        messages.append((of_today, "digest", content))
+    return sum(
+        _insert(connection, _digest(about, *to), name, to, kind, content, now)
+        for about, kind, content in messages
+        for to in recipient.targets
+    )
 
 
 def _chosen(
     connection: Connection, recipient: Recipient, fleet: _Fleet, is_first: bool, is_due: bool
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Return the alarms to send at once and those of a digest, and note them as reported."""
-    known = _known(connection, recipient.name)
+    chosen = sql.select(told).where(told.c.recipient == recipient.name)
+    known = {
+        tuple(row[name] for name in OF): _Reported(
+            row["severity"], row["at_km"], bool(row["is_open"])
+        )
+        for row in connection.execute(chosen).mappings()
+    }
     urgent: list[dict[str, Any]] = []
     listed: list[dict[str, Any]] = []
-    notes: dict[Of, _Reported] = {}
+    notes: dict[tuple[Any, ...], _Reported] = {}
     for key, alarms in fleet.alarms.items():
         if not recipient.is_about(key) or key not in fleet.ids:
             continue
@@ -336,29 +335,14 @@ def _chosen(
                 if state == "known" and before:  # once reported as act, always
                     severity = max(severity, before.severity)
                 notes[of] = _Reported(severity, fleet.up_to_km(key, alarm), alarm.is_open)
-    changed = {of: note for of, note in notes.items() if known.get(of) != note}
-    _note(connection, recipient.name, changed)
-    return urgent, listed
-
-
-def _known(connection: Connection, recipient: str) -> dict[Of, _Reported]:
-    rows = connection.execute(sql.select(told).where(told.c.recipient == recipient)).mappings()
-    return {
-        (row["suspension_id"], row["parameter"], row["cause"]): _Reported(
-            row["severity"], row["at_km"], bool(row["is_open"])
-        )
-        for row in rows
-    }
-
-
-def _note(connection: Connection, recipient: str, notes: dict[Of, _Reported]) -> None:
-    names = ("suspension_id", "parameter", "cause")
-    rows = [
-        {"recipient": recipient, **dict(zip(names, of, strict=True)), **asdict(note)}
+    changed = [
+        {"recipient": recipient.name, **dict(zip(OF, of, strict=True)), **asdict(note)}
         | {"is_open": int(note.is_open)}
         for of, note in notes.items()
+        if known.get(of) != note
     ]
-    upsert(connection, told, rows)
+    upsert(connection, told, changed)
+    return urgent, listed
 
 
 def _insert(
@@ -369,8 +353,10 @@ def _insert(
     kind: str,
     content: dict[str, Any],
     now: datetime,
-    is_sent: bool = False,
-) -> None:
+) -> bool:
+    """Queue a message unless it is queued already; return whether it is new."""
+    if _has(connection, number):
+        return False
     created = now.astimezone(UTC).isoformat(timespec="seconds")
     whole = {"id": number, "kind": kind, "recipient": recipient, "created": created} | content
     row = {
@@ -384,10 +370,11 @@ def _insert(
         "due_s": 0.0,
         "leased_s": 0.0,
         "attempts": 0,
-        "sent_s": now.timestamp() if is_sent else None,
+        "sent_s": now.timestamp() if kind == START else None,
         "error": "",
     }
     connection.execute(outbox.insert().values(row))
+    return True
 
 
 def _waiting() -> sql.ColumnElement[bool]:
@@ -405,8 +392,7 @@ def _due(now_s: float) -> sql.ColumnElement[bool]:
 
 
 def _has(connection: Connection, number: str) -> bool:
-    chosen = sql.select(outbox.c.id).where(outbox.c.id == number)
-    return connection.execute(chosen).first() is not None
+    return bool(connection.execute(sql.select(sql.exists().where(outbox.c.id == number))).scalar())
 
 
 def _update(connection: Connection, number: str, **values: Any) -> None:

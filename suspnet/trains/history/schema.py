@@ -12,14 +12,14 @@ import json
 import logging
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any, TypeVar
 
 import sqlalchemy as sql
 from sqlalchemy import Column, Double, Integer, LargeBinary, String, Table
-from sqlalchemy.engine import RowMapping
+from sqlalchemy.engine import Connection, RowMapping
 
-from suspnet.ground.findings import Finding
+from suspnet.ground.findings import Finding, restored, stored
 from suspnet.ground.parameters import ESTIMATED
 from suspnet.ground.records import (
     NUMBERS,
@@ -34,6 +34,8 @@ from suspnet.ground.records import (
     from_row,
     to_row,
 )
+from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm
+from suspnet.trains.maintenance.series import Event
 
 log = logging.getLogger(__name__)
 MOST_LOGGED = 1000
@@ -227,3 +229,87 @@ def key_of(row: RowMapping) -> Key:
     """Return vehicle and place of a suspension's row; ValueError if a value has a wrong type."""
     check_types(suspensions, row)
     return row["vehicle"], Place(**{name: row[name] for name in PLACE})
+
+
+Stored = TypeVar("Stored", Event, Alarm, Acknowledgement)
+TABLES: dict[type, sql.Table] = {Event: events, Alarm: alarms, Acknowledgement: acknowledgements}
+"""Table of each stored class."""
+
+
+def known_suspensions(
+    connection: Connection,
+    where: sql.ColumnElement[bool] | None = None,
+    bad: list[BadRow] | None = None,
+) -> dict[int, tuple[Key, int]]:
+    """Return key and revision of each suspension, or of those selected by `where`, by number.
+
+    Unreadable rows are left out and appended to `bad`.
+    """
+    chosen = sql.select(suspensions).where(sql.true() if where is None else where)
+    known = {}
+    for row in connection.execute(chosen).mappings():
+        try:
+            known[int(row["id"])] = key_of(row), int(row["revision"])
+        except ValueError as error:
+            if bad is not None:
+                bad.append(bad_row(suspensions, row, error))
+    return known
+
+
+def is_one_of(column: sql.Column[int], ids: Iterable[int]) -> sql.ColumnElement[bool]:
+    """Return the condition that a column is one of `ids`, of which there may be many."""
+    # literals, because databases limit the number of bound parameters
+    wanted: sql.BindParameter[list[int]] = sql.bindparam(
+        None, sorted(ids), expanding=True, literal_execute=True
+    )
+    return column.in_(wanted)
+
+
+def is_of(vehicle: str, place: Place) -> sql.ColumnElement[bool]:
+    """Return the condition that selects a suspension."""
+    wanted = asdict(place) | {"vehicle": vehicle}
+    return sql.and_(*(suspensions.c[name] == value for name, value in wanted.items()))
+
+
+def read_stored(
+    connection: Connection,
+    kind: type[Stored],
+    bad: list[BadRow],
+    where: sql.ColumnElement[bool] | None = None,
+) -> dict[Key, list[Stored]]:
+    """Return the objects of one class of each suspension, or of those selected by `where`.
+
+    They are sorted by the primary key of the table. Unreadable rows are left out and appended to
+    `bad`.
+    """
+    table, names = TABLES[kind], [field.name for field in fields(kind)]
+    places = (suspensions.c[name] for name in ("vehicle", *PLACE))
+    chosen = (
+        sql.select(*places, *(table.c[name] for name in names))
+        .join_from(table, suspensions)
+        .where(sql.true() if where is None else where)
+        .order_by(*table.primary_key.columns)
+    )
+    of_key: dict[Key, list[Stored]] = {}
+    for row in connection.execute(chosen).mappings():
+        try:
+            key = key_of(row)
+        except ValueError:  # a bad row of the table of suspensions, not of this one
+            continue
+        try:
+            check_types(table, row)
+            values: dict[str, Any] = {
+                name: math.nan if row[name] is None else row[name] for name in names
+            }
+            if kind is Alarm:
+                values["words"] = restored(values["words"])
+            of_key.setdefault(key, []).append(kind(**values))
+        except ValueError as error:
+            bad.append(bad_row(table, row, error, key))
+    return of_key
+
+
+def row_of_stored(suspension: int, kept: Event | Alarm | Acknowledgement) -> dict[str, Any]:
+    """Return an object as a row of its table."""
+    values = {name: or_null(value) for name, value in asdict(kept).items()}
+    return values | {"suspension_id": suspension, "words": stored(kept.words)}

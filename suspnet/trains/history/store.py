@@ -2,31 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import asdict, astuple
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import sqlalchemy as sql
 from sqlalchemy.engine import Connection, Engine
 from sqlalchemy.exc import SQLAlchemyError
 
 from suspnet.ground.findings import at
-from suspnet.ground.parameters import Cause
-from suspnet.ground.records import Key, Place, TripResult
+from suspnet.ground.records import MOST_NAME, Key, Place, TripResult
 from suspnet.trains.history.arrays import (
     Reference,
     TripResponses,
-    is_comparable,
-    is_dated_again,
+    comparable,
     read_responses,
     read_series,
     write_curves,
 )
 from suspnet.trains.history.database import (
+    DAMAGED,
     WAIT_S,
     HistoryError,
-    check_file,
     connect,
     database_url,
     error_of,
@@ -38,27 +39,22 @@ from suspnet.trains.history.database import (
 from suspnet.trains.history.outbox import Outbox
 from suspnet.trains.history.schema import (
     SCHEMA,
+    TABLES,
     BadRow,
+    Stored,
+    alarms,
+    bad_row,
+    is_of,
+    is_one_of,
+    known_suspensions,
     log_once,
+    read_stored,
+    result_of,
     row_of,
+    row_of_stored,
     suspensions,
     trips,
     undated_key,
-)
-from suspnet.trains.history.suspensions import (
-    Stored,
-    add_suspensions,
-    delete_trips,
-    is_of,
-    known_suspensions,
-    numbers_of,
-    other_alarms,
-    places_of,
-    raise_revisions,
-    read_stored,
-    read_trips,
-    replace_alarms,
-    write_stored,
 )
 from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm
 from suspnet.trains.maintenance.series import Event, Series
@@ -124,12 +120,13 @@ class History:
         """Raise HistoryError if an SQLite file is damaged; a server is not checked."""
         if self._url.get_backend_name() == "sqlite":
             with self._reading() as connection:
-                check_file(connection, str(self))
+                words = connection.exec_driver_sql("PRAGMA quick_check(1)").scalar()
+            if words != "ok":
+                raise HistoryError(DAMAGED.format(name=self, words=" ".join(str(words).split())))
 
     def places(self) -> list[Key]:
         """Return vehicle and place of each suspension, sorted."""
-        with self._reading() as connection:
-            return places_of(connection, self.bad_rows)
+        return sorted(self.revisions(), key=lambda key: (key[0], str(key[1])))
 
     def revisions(self) -> dict[Key, int]:
         """Return the revision of each suspension, a number that grows with each change of its data.
@@ -148,12 +145,17 @@ class History:
         newest trips; overviews of the signals are not stored.
         """
         with self._writing() as connection:
-            ids = add_suspensions(connection, ((r.vehicle, r.place) for r in results))
+            ids = _add_suspensions(connection, [(r.vehicle, r.place) for r in results])
             # first, as this locks the suspensions in an order that avoids deadlocks
-            raise_revisions(connection, ids.values())
+            _raise_revisions(connection, ids.values())
             rows = [row_of(ids[r.vehicle, r.place], r) for r in results]
-            dated = [r for r in results if r.start]
-            delete_trips(connection, [(ids[r.vehicle, r.place], undated_key(r)) for r in dated])
+            undated = [
+                {"of": ids[r.vehicle, r.place], "gone": undated_key(r)} for r in results if r.start
+            ]
+            if undated:
+                is_of_suspension = trips.c.suspension_id == sql.bindparam("of")
+                gone = trips.delete().where(is_of_suspension, trips.c.key == sql.bindparam("gone"))
+                connection.execute(gone, sorted(undated, key=lambda row: (row["of"], row["gone"])))
             upsert(connection, trips, rows)
             of_each: dict[int, dict[bytes, TripResult]] = {}
             for row, result in zip(rows, results, strict=True):
@@ -163,8 +165,16 @@ class History:
 
     def read(self, vehicle: str, place: Place) -> list[TripResult]:
         """Return the trips of a suspension by mileage; empty if there are none."""
+        columns = [column for column in trips.columns if column.name != "key"]
+        chosen = sql.select(*columns).join(suspensions).where(is_of(vehicle, place))
+        results = []
         with self._reading() as connection:
-            return read_trips(connection, vehicle, place, self.bad_rows)
+            for row in connection.execute(chosen).mappings():
+                try:
+                    results.append(result_of((vehicle, place), row))
+                except ValueError as error:
+                    self.bad_rows.append(bad_row(trips, row, error, (vehicle, place)))
+        return sorted(results, key=lambda r: (math.isnan(r.mileage_km), r.mileage_km, r.trip))
 
     def series(self, keys: Iterable[Key] | None = None) -> list[Series]:
         """Return the trips of all suspensions as arrays, sorted by vehicle and place.
@@ -189,13 +199,11 @@ class History:
         `results`, which have just been stored. If one of these has no start, others of its name and
         mileage are the same trip and left out.
         """
-        chosen, once = is_comparable(references, results), ~is_dated_again(results)
-        others = (
-            sql.select(trips.c.id).join(suspensions).where(is_of(vehicle, place), ~chosen, once)
-        )
-        count = sql.select(sql.func.count()).select_from(others.subquery())
+        fitting, others = comparable(references, results)
+        own = sql.select(sql.func.count(trips.c.id)).join(suspensions)
+        count = own.where(is_of(vehicle, place), others)
         with self._reading() as connection:
-            several = read_series(connection, self.bad_rows, {(vehicle, place)}, chosen & once)
+            several = read_series(connection, self.bad_rows, {(vehicle, place)}, fitting)
             return next(iter(several), None), int(connection.execute(count).scalar_one())
 
     def responses(self, vehicle: str, place: Place) -> list[TripResponses]:
@@ -216,35 +224,26 @@ class History:
         """Return the maintenance events of a suspension by mileage."""
         return self._read(Event, is_of(vehicle, place)).get((vehicle, place), [])
 
-    def keep_alarms(
-        self,
-        vehicle: str,
-        place: Place,
-        alarms: Sequence[Alarm],
-        causes: Collection[Cause] = tuple(Cause),
-    ) -> None:
-        """Replace the stored alarms of a suspension; see ``keep_all_alarms``."""
-        self.keep_all_alarms({(vehicle, place): alarms}, causes)
+    def keep_alarms(self, vehicle: str, place: Place, own: Sequence[Alarm]) -> None:
+        """Replace the stored alarms of a suspension."""
+        self.keep_all_alarms({(vehicle, place): own})
 
-    def keep_all_alarms(
-        self, alarms: Mapping[Key, Sequence[Alarm]], causes: Collection[Cause] = tuple(Cause)
-    ) -> None:
-        """Replace the stored alarms of suspensions that are of these causes.
-
-        `alarms` has all alarms of these causes; ValueError is raised if one is of another cause.
-        Suspensions whose alarms are unchanged are not written.
-        """
-        others = {alarm.cause for own in alarms.values() for alarm in own} - set(causes)
-        if others:
-            wanted = ", ".join(causes)
-            raise ValueError(f"alarms of {', '.join(sorted(others))} are not of {wanted}")
+    def keep_all_alarms(self, of_each: Mapping[Key, Sequence[Alarm]]) -> None:
+        """Replace the stored alarms of suspensions; those with the same alarms are not written."""
         with self._writing() as connection:
-            ids = numbers_of(connection, alarms, str(self))
-            of_each = {number: alarms[key] for key, number in ids.items()}
-            changed = other_alarms(connection, of_each, causes)
-            raise_revisions(connection, changed)
-            for number in changed:
-                replace_alarms(connection, number, of_each[number], causes)
+            ids = self._numbers(connection, of_each)
+            before: dict[int, list[dict[str, Any]]] = {number: [] for number in ids.values()}
+            chosen = sql.select(alarms).where(is_one_of(alarms.c.suspension_id, before))
+            for row in connection.execute(chosen).mappings():
+                before[row["suspension_id"]].append(dict(row))
+            rows = {
+                number: [row_of_stored(number, alarm) for alarm in of_each[key]]
+                for key, number in ids.items()
+            }
+            changed = [n for n, own in rows.items() if _by_key(own) != _by_key(before[n])]
+            _raise_revisions(connection, changed)
+            connection.execute(alarms.delete().where(is_one_of(alarms.c.suspension_id, changed)))
+            upsert(connection, alarms, [row for number in changed for row in rows[number]])
 
     def alarms(self, vehicle: str, place: Place) -> list[Alarm]:
         """Return the alarms of a suspension, active or cleared, by the mileage where they start."""
@@ -276,9 +275,22 @@ class History:
         self, vehicle: str, place: Place, kept: Sequence[Event] | Sequence[Acknowledgement]
     ) -> None:
         with self._writing() as connection:
-            ids = list(numbers_of(connection, [(vehicle, place)], str(self)).values())
-            raise_revisions(connection, ids)
-            write_stored(connection, ids[0], kept)
+            (number,) = self._numbers(connection, [(vehicle, place)]).values()
+            _raise_revisions(connection, [number])
+            if kept:
+                rows = [row_of_stored(number, entry) for entry in kept]
+                upsert(connection, TABLES[type(kept[0])], rows)
+
+    def _numbers(self, connection: Connection, keys: Iterable[Key]) -> dict[Key, int]:
+        """Return the number of each suspension; HistoryError if one is unknown."""
+        numbers = {key: number for number, (key, _) in known_suspensions(connection).items()}
+        known = "; ".join(sorted(f"{vehicle}: {place}" for vehicle, place in numbers)) or "none"
+        for vehicle, place in (wanted := list(keys)):
+            if (vehicle, place) not in numbers:
+                raise HistoryError(
+                    f"{self}: no trip of {vehicle}: {place} is stored here; known: {known}"
+                )
+        return {key: numbers[key] for key in wanted}
 
     @contextmanager
     def _reading(self) -> Iterator[Connection]:
@@ -299,6 +311,36 @@ class History:
                 yield connection
         except (SQLAlchemyError, UnicodeDecodeError) as error:  # damaged names of tables
             raise error_of(error, str(self)) from None
+
+
+def _add_suspensions(connection: Connection, keys: Iterable[Key]) -> dict[Key, int]:
+    """Return the number of each suspension; new ones are added, ValueError if a name is long."""
+    wanted = list(dict.fromkeys(keys))
+    for name in (text for vehicle, place in wanted for text in (vehicle, *astuple(place))):
+        if len(name) > MOST_NAME:
+            raise ValueError(
+                f"a name must have at most {MOST_NAME} characters, got {name[:20]!r}..."
+            )
+    upsert(connection, suspensions, [{"vehicle": name} | asdict(place) for name, place in wanted])
+    chosen = {key: sql.select(suspensions.c.id).where(is_of(*key)) for key in wanted}
+    return {key: int(connection.execute(query).scalar_one()) for key, query in chosen.items()}
+
+
+def _raise_revisions(connection: Connection, ids: Iterable[int]) -> None:
+    """Increment the revisions of suspensions, and lock them until the transaction ends.
+
+    A transaction that changes suspensions starts with this. They are locked in order of their
+    numbers, so that writers do not deadlock.
+    """
+    rows = [{"number": number} for number in sorted(set(ids))]
+    if rows:
+        update = suspensions.update().where(suspensions.c.id == sql.bindparam("number"))
+        connection.execute(update.values(revision=suspensions.c.revision + 1), rows)
+
+
+def _by_key(rows: Iterable[dict[str, Any]]) -> dict[tuple[Any, ...], dict[str, Any]]:
+    names = [column.name for column in alarms.primary_key.columns]
+    return {tuple(row[name] for name in names): row for row in rows}
 
 
 def acknowledge_alarms(

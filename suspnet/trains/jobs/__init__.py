@@ -1,1 +1,1 @@
-"""What programs do with trains: check, commission, read a fleet, plan, make the paper again."""
+"""What programs do with trains: check, commission, read a fleet, plan."""

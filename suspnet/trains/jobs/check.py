@@ -15,7 +15,7 @@ from torch import Tensor
 
 from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.speeds import NoEstimateError
-from suspnet.curves.welch import SegmentSpectra, Welch
+from suspnet.curves.welch import SegmentSpectra
 from suspnet.estimation.fitted import Model
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.findings import Finding, together, with_values, without
@@ -40,7 +40,6 @@ from suspnet.trains.recordings.manifest_sources import channel_of
 from suspnet.trains.recordings.recording import Recording, load_recording
 from suspnet.trains.spectra.segments import recording_segments, segment_speeds
 from suspnet.trains.spectra.steady_parts import (
-    Steady,
     groups_to_read,
     minutes_words,
     readable_words,
@@ -269,47 +268,40 @@ def _at_steady_speeds(
     enough = [one for one in seen if one.has_enough]
     certain = [one for one in enough if one.is_certain]
     # the reason why there is too little, or which of the speeds are not certain enough
-    remark = together(_too_uncertain(one, settings) for one in enough if not one.is_certain)
+    if enough:
+        remark = together(
+            Finding(
+                "responses-uncertain-at",
+                speed_m_per_s=one.speed[0],
+                deviation_percent=100 * one.deviation,
+                max_deviation=100 * settings.max_deviation,
+            )
+            for one in enough
+            if not one.is_certain
+        )
+    else:
+        most = max(seen, key=lambda one: one.n_averages, default=None)
+        n_most = int(most.chosen.sum()) if most else 0
+        remark = Finding(
+            "too-little-at" if most else "too-little-steady",
+            m_per_s=most.speed[0] if most else None,
+            minutes=minutes_words(segments.welch, n_most, settings.min_averages),
+            tolerance=100 * tolerance,
+            least=least,
+        )
+    parts = [
+        SteadyPart(one.speed[0], one.n_averages, p, s, 100 * one.deviation)
+        for one in certain
+        for p, s in [one.coherences]
+    ]
     result = _with_remarks(
         result,
-        remark if enough else _too_little(seen, segments.welch, settings),
+        remark,
         state=READY if certain else TOO_LITTLE,
-        parts=tuple(map(_part, certain)),
+        parts=tuple(parts),
         steady_percent=100 * sum(int(one.chosen.sum()) for one in certain) / n_segments,
     )
     return result, [one.chosen for one in certain or seen[:1]] or [every]
-
-
-def _part(one: Steady) -> SteadyPart:
-    """Return the quality of a group of segments; G_s counts as far as an estimate uses it."""
-    return SteadyPart(
-        speed_m_per_s=one.speed[0],
-        n_averages=one.n_averages,
-        coherence_p=one.coherences[0],
-        coherence_s=one.coherences[1],
-        deviation_percent=100 * one.deviation,
-    )
-
-
-def _too_little(groups: Sequence[Steady], welch: Welch, settings: TripSettings) -> str:
-    most = max(groups, key=lambda one: one.n_averages, default=None)
-    n_segments = int(most.chosen.sum()) if most else 0
-    return Finding(
-        "too-little-at" if most else "too-little-steady",
-        m_per_s=most.speed[0] if most else None,
-        minutes=minutes_words(welch, n_segments, settings.min_averages),
-        tolerance=100 * settings.speed_tolerance,
-        least=settings.min_speed_m_per_s,
-    )
-
-
-def _too_uncertain(one: Steady, settings: TripSettings) -> str:
-    return Finding(
-        "responses-uncertain-at",
-        speed_m_per_s=one.speed[0],
-        deviation_percent=100 * one.deviation,
-        max_deviation=100 * settings.max_deviation,
-    )
 
 
 def _of_parts(

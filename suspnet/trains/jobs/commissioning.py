@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -125,7 +124,14 @@ def check_generator(generator: ResponseGenerator) -> VerticalVehicle:
 
 def _prior(generator: VerticalVehicle, healthy: HealthyTrips) -> VerticalVehicle:
     """Return the generator with parts, sensor positions and a prior to start from."""
-    lateral_m = _lateral_m(generator.sensor_lateral_m, healthy)
+    # each channel's lateral position: 0 for a pair, else as given, else by its side
+    manifest, given_m = healthy.manifests[0], generator.sensor_lateral_m
+    sides = {name: manifest.side_of(sensor) for name, sensor in manifest.sensors().items()}
+    box_m, frame_m, body_m = (
+        0.0 if is_pair else stated_m or SIDE_M.get(sides.get(name) or "", 0.0)
+        for stated_m, is_pair, name in zip(given_m, healthy.paired, CHANNELS, strict=True)
+    )
+    lateral_m = box_m, frame_m, body_m
     parts = generator.parts or FAMILY
     if not any(lateral_m):  # sensors in the middle do not see roll
         parts = tuple(part for part in parts if part != "roll")
@@ -133,15 +139,3 @@ def _prior(generator: VerticalVehicle, healthy: HealthyTrips) -> VerticalVehicle
     if placed.distribution is None:
         placed = replace(placed, distribution=LogNormal.prior(parts))
     return placed
-
-
-def _lateral_m(stated_m: Sequence[float], healthy: HealthyTrips) -> tuple[float, float, float]:
-    """Return each channel's lateral position: 0 for a pair, else as given, else by its side."""
-    manifest = healthy.manifests[0]
-    sensors = manifest.sensors()
-    sides = {name: manifest.side_of(sensor) for name, sensor in sensors.items()}
-    box, frame, body = (
-        0.0 if is_pair else lateral_m or SIDE_M.get(sides.get(name) or "", 0.0)
-        for lateral_m, is_pair, name in zip(stated_m, healthy.paired, CHANNELS, strict=True)
-    )
-    return box, frame, body

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import logging
+import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -14,26 +15,23 @@ from typing import Any, Literal
 from suspnet.estimation.fitted import Model
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.ground.extras import check_extra
 from suspnet.ground.findings import at, of, together
 from suspnet.ground.parameters import ESTIMATED, TIGHTEST, Limits, read_limits
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.progress import stage
-from suspnet.ground.records import ERROR, Commissioning, TripResult, by_mileage, outputs_of
+from suspnet.ground.records import ERROR, TripResult, by_mileage, outputs_of
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.storage import printable
 from suspnet.ground.workers import ITEMS_A_WORKER, USUAL_WORKERS, LostWorkerError, each, workers_for
 from suspnet.runs.language import N_
 from suspnet.trains.history import History
-from suspnet.trains.maintenance.alarms import OWN_CAUSES, Acknowledgement, detector_words
+from suspnet.trains.maintenance.alarms import Acknowledgement, detector_words, watch
 from suspnet.trains.maintenance.assessment import spoken
 from suspnet.trains.maintenance.change import ChangeSettings
-from suspnet.trains.maintenance.fleet import FleetStates
-from suspnet.trains.maintenance.relative import between, relative_results
-from suspnet.trains.maintenance.series import Event, Series, series_of
-from suspnet.trains.maintenance.sisters import SisterSettings
-from suspnet.trains.maintenance.trend import LEAST_PERCENT
-from suspnet.trains.pages.details import missing_reference, report_details, wear_words
+from suspnet.trains.maintenance.relative import relative_results
+from suspnet.trains.maintenance.series import Event, series_of
+from suspnet.trains.maintenance.state import State, with_lives
+from suspnet.trains.pages.details import missing_reference, report_details
 from suspnet.trains.pages.output import (
     sensor_lines,
     summary,
@@ -56,10 +54,6 @@ from suspnet.trains.trips.grouping import Group, find_groups
 from suspnet.trains.trips.trip import evaluate_trip, lost_trip
 
 log = logging.getLogger(__name__)
-RESOLVED = 2.0
-"""A change must exceed this multiple of the model's rms error on its test curves."""
-SISTERS = SisterSettings()
-"""Settings of the comparison of the suspensions of a car."""
 OVERRIDDEN = "set for this evaluation"
 """Reason for limits that a setting overrides without giving one."""
 
@@ -70,7 +64,7 @@ class FleetSettings:
 
     `limits` override the vehicle's: from a parameter to its `notice` and `act`, each [lower, upper]
     relative to healthy, and `why`. A missing or None entry leaves the vehicle's value; a parameter
-    that is None raises no alarm. ValueError is raised if dask is selected and not installed.
+    that is None raises no alarm.
     """
 
     trips: TripSettings
@@ -88,12 +82,6 @@ class FleetSettings:
         low=1,
         most=1024,
     )
-    cluster: str | None = setting(
-        None,
-        "Address of a dask scheduler that reads trips instead, tcp://host:8786, or local; null "
-        "is none",
-        rule="text",
-    )
     limits: Mapping[str, Any] | None = None
     changes: ChangeSettings = field(default_factory=ChangeSettings)
 
@@ -101,8 +89,6 @@ class FleetSettings:
         check_settings(self)
         # check these limits, whatever the vehicle's are
         read_limits(self.limits or {}, dict.fromkeys(ESTIMATED, TIGHTEST))
-        if self.cluster is not None:
-            check_extra("cluster", "distributed")
 
     @property
     def n_first(self) -> int | None:
@@ -159,21 +145,9 @@ def evaluate_fleet(
                 raise ValueError(group.error)
             where = output if is_alone else output / group.name
             suspensions.append(_suspension(group, models, where, settings))
-    read = []
     for suspension in _evaluated(suspensions, settings, progress):
         with _reported(suspension.group, done, is_alone):
-            read.append(_with_history(suspension, settings, store))
-    read.sort(key=lambda one: groups.index(one.suspension.group))
-    # all suspensions are read before the first report: its lives use their rates of wear
-    limits = {one.suspension.vehicle: one.suspension.limits for one in read}
-    fleet = FleetStates(limits, settings.changes, SISTERS, seed)
-    if store is not None:
-        earlier = (series for series in store.series() if series.vehicle in fleet.limits)
-        fleet.add(series.relative_to_first(settings.n_first) for series in earlier)
-    fleet.add(one.series for one in read)
-    for one in read:
-        with _reported(one.suspension.group, done, is_alone):
-            done.append(_report(one, fleet, settings, store, figures))
+            done.append(_report(suspension, settings, store, seed, figures))
     if is_alone:
         return done
     if all(one.error for one in done):
@@ -223,16 +197,6 @@ class _Suspension:
         return self.models[0].vehicle.name
 
 
-@dataclass(frozen=True, eq=False)
-class _Trips:
-    """All trips of a suspension, those of the store among them, as `results` and as `series`."""
-
-    suspension: _Suspension
-    results: list[TripResult]
-    commissionings: list[Commissioning]
-    series: Series
-
-
 def _suspension(
     group: Group, models: Sequence[Model], output: Path, settings: FleetSettings
 ) -> _Suspension:
@@ -257,58 +221,55 @@ def _suspension(
     return suspension
 
 
-def _with_history(
-    suspension: _Suspension, settings: FleetSettings, store: History | None
-) -> _Trips:
-    """Store the trips of a suspension that are all read, and return them with earlier ones."""
-    place, models, vehicle = suspension.group.place, suspension.models, suspension.vehicle
-    results = [replace(result, place=place) for result in suspension.results]
+def _report(
+    suspension: _Suspension,
+    settings: FleetSettings,
+    store: History | None,
+    seed: int,
+    figures: bool,
+) -> Evaluated:
+    """Store the trips of a suspension that are all read, and write its tables and report.
+
+    Returns its state for the overview.
+    """
+    group, models, output = suspension.group, suspension.models, suspension.output
+    stage(f"trend and report of {group.place}")
+    # all trips, with those that the store held already
+    results = [replace(result, place=group.place) for result in suspension.results]
     events: list[Event] = []
     if store is not None:
-        results = with_earlier(results, place, models, store)
-        events = store.events(vehicle, place)
+        results = with_earlier(results, group.place, models, store)
+        events = store.events(suspension.vehicle, group.place)
     results = by_mileage(results)
-    series = replace(series_of(results, events), vehicle=vehicle)
+    series = replace(series_of(results, events), vehicle=suspension.vehicle)
+    series = series.relative_to_first(settings.n_first)
     results = relative_results(results, events, settings.n_first)
     used = commissionings(models, results)
     results = with_truth_of_each(results, used)
-    return _Trips(suspension, results, used, series.relative_to_first(settings.n_first))
-
-
-def _report(
-    trips: _Trips, fleet: FleetStates, settings: FleetSettings, store: History | None, figures: bool
-) -> Evaluated:
-    """Write tables, figures and the report of a suspension; return its state for the overview."""
-    suspension, results = trips.suspension, trips.results
-    group, models, output = suspension.group, suspension.models, suspension.output
-    stage(f"trend and report of {group.place}")
     outputs, level = outputs_of(results), settings.trips.level
     # tables come first: what follows may fail on odd numbers
     write_tables(results, outputs, output)
-    since_maintenance = between(trips.series.events, results)[-1]
+    since_km = max(series.repairs, default=-math.inf)
+    since_maintenance = [r for r in results if not r.mileage_km < since_km]
     if missing := missing_reference(since_maintenance, settings.n_first):
         log.warning("%s: %s", group.folder, missing)
-    state = replace(fleet.state_of(trips.series), least_percent=least_percent(outputs, models))
+    watched = watch(series, suspension.limits, settings.changes)
+    state = with_lives(State(series, suspension.limits, watched), seed)
     seen: list[Acknowledgement] = []
     if store is not None and any(r.status != ERROR for r in results):
-        own = [alarm for alarm in state.watched.alarms if alarm.cause in OWN_CAUSES]
-        store.keep_alarms(suspension.vehicle, group.place, own, OWN_CAUSES)
+        store.keep_alarms(suspension.vehicle, group.place, watched.alarms)
         seen = store.acknowledgements(suspension.vehicle, group.place)
-    armed = detector_words(state.watched.changes, settings.changes)
-    n_learnt = fleet.n_learnt(suspension.vehicle)
+    armed = detector_words(watched.changes, settings.changes)
     details = report_details(
         group.folder, models, results, suspension.limits, level, settings.n_first
-    ) | {
-        N_("remaining lives"): wear_words(n_learnt, store is not None),
-        N_("alarms of changes"): armed,
-    }
+    ) | {N_("alarms of changes"): armed}
     if partial := _warn_if_partial(group.folder):
         details["trips"] = f"{details['trips']} ({partial})"
     if store is not None:
         details[N_("history")] = printable(str(store))
-    report = Report(results, outputs, state, details, level, trips.commissionings, seen)
+    report = Report(results, outputs, state, details, level, used, seen)
     write_pages(report, output, draw=figures)
-    lines = [spoken(state.assessments), *sensor_lines(results, state.watched.alarms)]
+    lines = [spoken(state.assessments), *sensor_lines(results, watched.alarms)]
     words = "\n".join([*lines, f"Alarms of changes: {armed}."])
     log.info("%s\n%s: %s\n-> %s", summary(results, outputs), group.place, words, output)
     return Evaluated(group.name, group.place, results, state)
@@ -337,7 +298,8 @@ def _evaluated(
             log.info(words, n_finished, len(owners))
         yield from (one for one in suspensions if not one.waiting)
         items = [(file, one.models) for file, one in owners.items()]
-        for (file, _), result in _read_by_workers(items, settings):
+        read = functools.partial(_read_trip, settings=settings.trips)
+        for (file, _), result in each(read, items, workers_for(len(items), settings.workers)):
             suspension = owners[file]
             made_from = suspension.waiting.pop(file)
             if isinstance(result, LostWorkerError):
@@ -350,51 +312,5 @@ def _evaluated(
                 yield suspension
 
 
-_Item = tuple[ManifestFile, Sequence[Model]]
-
-
-def _read_trip(item: _Item, settings: TripSettings) -> TripResult:
+def _read_trip(item: tuple[ManifestFile, Sequence[Model]], settings: TripSettings) -> TripResult:
     return evaluate_trip(*item, settings)
-
-
-def _identity(value: Any) -> Any:
-    return value
-
-
-def _read_by_workers(
-    items: Sequence[_Item], settings: FleetSettings
-) -> Iterator[tuple[_Item, TripResult | LostWorkerError]]:
-    """Yield trips with their results as they are read, in local processes or on a dask cluster."""
-    n_workers = workers_for(len(items), settings.workers)
-    if settings.cluster is None:
-        yield from each(functools.partial(_read_trip, settings=settings.trips), items, n_workers)
-        return
-    import distributed
-
-    address = None if settings.cluster == "local" else settings.cluster
-    options = {} if address else {"n_workers": n_workers, "dashboard_address": None}
-    with distributed.Client(address, **options) as client:
-        # models are larger than anything else: sent once, and to a worker by another one; a task,
-        # unlike scattered data, is computed again where the only worker that holds it is killed
-        distinct = {id(model): model for _, models in items for model in models}
-        sent = {key: client.submit(_identity, one, pure=False) for key, one in distinct.items()}
-        trips = {}
-        for item in items:
-            models = [sent[id(model)] for model in item[1]]
-            arguments = (evaluate_trip, item[0], models, settings.trips)
-            trips[client.submit(*arguments, pure=False, retries=1)] = item
-        for future in distributed.as_completed(trips):
-            try:
-                yield trips[future], future.result()
-            except distributed.KilledWorker as error:
-                yield trips[future], LostWorkerError(str(error))
-            future.release()  # the workers hold its result until then
-
-
-def least_percent(outputs: Sequence[str], models: Sequence[Model]) -> dict[str, float]:
-    """Return the smallest change of each parameter that the models can resolve, [%]."""
-    rms = {
-        name: max(m.training.get("test_rms_percent", {}).get(name, 0.0) for m in models)
-        for name in outputs
-    }
-    return {name: max(LEAST_PERCENT, RESOLVED * error) for name, error in rms.items()}

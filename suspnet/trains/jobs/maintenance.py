@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import logging
-from collections import Counter
 from pathlib import Path
 
-from suspnet.ground.storage import write_json
 from suspnet.trains.history import History
 from suspnet.trains.history.database import check_exists
-from suspnet.trains.maintenance.fleet import fleet_state
 from suspnet.trains.maintenance.plan import plan_of
-from suspnet.trains.maintenance.state import State
+from suspnet.trains.maintenance.state import State, fleet_state
 from suspnet.trains.pages.board import BoardSettings
 from suspnet.trains.pages.maintenance_figures import plan_calendar
 from suspnet.trains.pages.output import write_fleet
@@ -38,22 +35,11 @@ def write_maintenance(history: History, folder: Path, settings: BoardSettings) -
     if not fleet:
         raise ValueError(f"{history}: no trip is stored here yet")
     own = {series.vehicle: settings.limits_of(series.vehicle) for series in fleet}
-    states = fleet_state(fleet, own, settings.changes, settings.sisters, settings.seed)
+    states = fleet_state(fleet, own, settings.changes, settings.seed)
     history.keep_all_alarms({state.key: state.watched.alarms for state in states})
     acknowledged = history.all_acknowledgements()
     planned = plan_of(states, settings.plan, settings.day())
     view = fleet_view(states, own, acknowledged, planned)
     write_fleet(view, planned, plan_calendar(planned), folder)
-    counts = Counter(str(state.severity) for state in states)
-    write_json(
-        folder / "metrics.json",
-        {
-            "severities": counts,
-            "n_visits": len(planned.visits),
-            "n_jobs": sum(len(visit.jobs) for visit in planned.visits),
-            "n_waiting": len(planned.waiting),
-            "n_unknown": len(planned.unknown),
-        },
-    )
-    log.info("%s\n\n%s\n-> %s", overview_table(view.rows), planned, folder)
+    log.info("%s\n\n%s\n-> %s", overview_table(view.rows), planned.summary, folder)
     return states

@@ -8,12 +8,10 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 
 import numpy as np
-from tabulate import tabulate
 
 from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import BODY_MASS, Cause, Limits, Severity
 from suspnet.ground.types import BoolArray, FloatArray
-from suspnet.ground.wording import kilometres
 from suspnet.trains.maintenance.change import Change, Changes, ChangeSettings, find_changes
 from suspnet.trains.maintenance.judge import beyond_words, judge, level_words
 from suspnet.trains.maintenance.series import N_LAST, Series
@@ -22,8 +20,6 @@ N_QUIET = 3
 """Trips in a row within the limits that end an alarm: an intermittent one stays active."""
 GOES_ON = 1.5
 """Ratio of a change now to its size at the alarm above which the text gives both."""
-OWN_CAUSES = (Cause.LIMIT, Cause.CHANGE, Cause.SENSOR)
-"""Causes that need only the trips of the suspension itself."""
 
 
 @dataclass(frozen=True)
@@ -108,10 +104,15 @@ def newest_of(alarm: Alarm, seen: Iterable[Acknowledgement]) -> Acknowledgement 
 
 @dataclass(frozen=True)
 class Watched:
-    """Result of ``watch``: alarms by the mileage where they start, and detected changes."""
+    """Result of ``watch``: alarms by the mileage where they start, and detected changes.
+
+    `lasting` has the alarm of the last change of each parameter that still lasts, also where it is
+    not among the `alarms` because a limit reported it first.
+    """
 
     alarms: list[Alarm] = field(default_factory=list)
     changes: Changes = field(default_factory=Changes)
+    lasting: Mapping[str, Alarm] = field(default_factory=dict)
 
     @property
     def passed(self) -> set[str]:
@@ -142,12 +143,7 @@ def watch(
         era = series.select(trips)
         watched = _watch_era(era, series.outputs, limits, settings or ChangeSettings())
         alarms += [replace(a, end_km=end_km) if a.is_open else a for a in watched.alarms]
-    return replace(watched, alarms=sorted(alarms, key=by_mileage))
-
-
-def by_mileage(alarm: Alarm) -> tuple[float, str]:
-    """Return the key that sorts alarms by the mileage where they start."""
-    return alarm.begin_km, alarm.parameter
+    return replace(watched, alarms=sorted(alarms, key=lambda a: (a.begin_km, a.parameter)))
 
 
 def _sensor_alarms(series: Series) -> list[Alarm]:
@@ -155,7 +151,7 @@ def _sensor_alarms(series: Series) -> list[Alarm]:
     km, alarms = series.mileage_km, []
     for trend in series.sensor_trends:
         active = trend.active & np.isfinite(km)
-        for begin, end in spans(active, ~active & np.isfinite(km)):
+        for begin, end in _spans(active, ~active & np.isfinite(km)):
             # the newest trip that says what is wrong, as the last ones of an alarm need not
             during = np.arange(begin, len(km) if end is None else end)
             last = next(trip for trip in during[::-1] if trend.words(trip) or trip == begin)
@@ -181,21 +177,18 @@ def _watch_era(
     }
     km, widths = era.mileage_km, {name: era.half_widths[name] for name in values}
     changes = find_changes(km, values, covariates, settings, usable=~era.flagged, widths=widths)
-    alarms = []
+    alarms, lasting = [], {}
     for name, column in values.items():
         of_limits = _limit_alarms(name, era, limits.get(name))
-        of_changes = [
-            _change_alarm(name, km, column, one) for one in changes.by_parameter.get(name, [])
-        ]
-        # a change that a limit has reported already is redundant
-        alarms += of_limits + [
-            late for late in of_changes if not _any_active(of_limits, late.begin_km)
-        ]
-    return Watched(sorted(alarms, key=by_mileage), changes)
-
-
-def _any_active(alarms: Iterable[Alarm], km: float) -> bool:
-    return any(alarm.was_active_at(km) for alarm in alarms)
+        alarms += of_limits
+        for change in changes.by_parameter.get(name, []):
+            alarm = _change_alarm(name, km, column, change)
+            # a change that a limit has reported already is redundant
+            if not any(limit.was_active_at(alarm.begin_km) for limit in of_limits):
+                alarms.append(alarm)
+            if alarm.is_open:
+                lasting[name] = alarm
+    return Watched(alarms, changes, lasting)
 
 
 def _limit_alarms(name: str, era: Series, limits: Limits | None) -> list[Alarm]:
@@ -212,7 +205,7 @@ def _limit_alarms(name: str, era: Series, limits: Limits | None) -> list[Alarm]:
     severity, newest = judged.severity, len(done) - 1
     quiet = np.asarray(_windows(severity == Severity.NONE, False, N_QUIET).all(axis=-1))
     alarms = []
-    for begin, end in spans(np.asarray(severity >= Severity.NOTICE), quiet):
+    for begin, end in _spans(np.asarray(severity >= Severity.NOTICE), quiet):
         worst = begin + int(severity[begin:end].argmax())
         # an active alarm is described by the newest trip if that is as severe as the worst one
         at = newest if end is None and severity[newest] == severity[worst] else worst
@@ -244,7 +237,7 @@ def _change_alarm(name: str, km: FloatArray, values: FloatArray, change: Change)
     return Alarm(name, Cause.CHANGE, Severity.NOTICE, float(km[change.begin]), end_km, words)
 
 
-def spans(raised: BoolArray, cleared: BoolArray) -> list[tuple[int, int | None]]:
+def _spans(raised: BoolArray, cleared: BoolArray) -> list[tuple[int, int | None]]:
     """Return the trips at which each alarm starts and ends; None: it is active."""
     pairs: list[tuple[int, int | None]] = []
     begin = None
@@ -261,22 +254,6 @@ def _windows(column: FloatArray | BoolArray, fill: float | bool, size: int = N_L
     """Return the last `size` trips up to each trip, newest last, (n_trips, `size`)."""
     padded = np.concatenate([np.full(size - 1, fill), column])
     return np.lib.stride_tricks.sliding_window_view(padded, size)
-
-
-def alarm_table(alarms: list[Alarm]) -> str:
-    """Return alarms as a table for a terminal."""
-    rows = [
-        [
-            str(alarm.severity),
-            alarm.parameter,
-            alarm.cause,
-            kilometres(alarm.begin_km),
-            "now" if alarm.is_open else kilometres(alarm.end_km),
-            alarm.words,
-        ]
-        for alarm in alarms
-    ]
-    return tabulate(rows, ["severity", "of", "cause", "since", "until", "why"], tablefmt="github")
 
 
 def detector_words(changes: Changes, settings: ChangeSettings) -> str:

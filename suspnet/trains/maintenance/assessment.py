@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+from scipy import stats
 
 from suspnet.ground.findings import Finding, kind_is, percent, together
 from suspnet.ground.parameters import BODY_MASS, Cause, Limits, Severity
+from suspnet.ground.types import FloatArray
 from suspnet.trains.maintenance.alarms import Alarm
+from suspnet.trains.maintenance.change import Changes
 from suspnet.trains.maintenance.judge import (
     N_CONFIRMING,
     Judged,
@@ -20,12 +23,16 @@ from suspnet.trains.maintenance.judge import (
     level_words,
 )
 from suspnet.trains.maintenance.life import Life
-from suspnet.trains.maintenance.series import N_LAST
-from suspnet.trains.maintenance.trend import ParameterTrend, Shape, Step
+from suspnet.trains.maintenance.noise import robust_spread
+from suspnet.trains.maintenance.series import N_LAST, Series
 
+LEVEL, MULTIPLE, LEAST_PERCENT = 0.01, 2.0, 0.1
+"""A step counts at this level, if it exceeds this multiple of the spread and this size [%]."""
+LEAST_SIDE = 3
+"""Fewest trips on each side of a step: one outlier is none."""
 ONE_FLAGGED = "the only trip is flagged"
 LARGE_PERCENT = 10.0
-"""Least change, in % of healthy, for which the text gives the new level instead of the change."""
+"""Least difference from healthy, in %, for which the text gives the level."""
 REPORTED_PERCENT = 2.0
 """Least deviation of the last trip from the median of the last trips, in % of healthy, for which
 the text gives its value."""
@@ -35,19 +42,90 @@ ALL_FLAGGED = "all trips are flagged"
 
 
 @dataclass(frozen=True)
+class ParameterTrend:
+    """How one parameter develops along the mileage.
+
+    `first_median` and `last_median` are those of the first and of the last `n_ends` of the
+    `n_trips` with an estimate, relative to healthy, `change_percent` their difference, which counts
+    from `n_needed` trips on, `spread_percent` the robust standard deviation of the trips about the
+    local trend, both in % of healthy. `flagged_last` of the last `n_ends` trips are flagged.
+    `changed` is whether a change has been found that lasts; always false for the car-body mass.
+    """
+
+    parameter: str
+    n_trips: int
+    first_median: float
+    last_median: float
+    change_percent: float
+    spread_percent: float
+    n_ends: int = 0
+    n_needed: int = 2 * N_LAST
+    flagged_last: int = 0
+    changed: bool = False
+
+
+def trend_of(series: Series, name: str) -> ParameterTrend:
+    """Return the trend of a parameter from the trips with a mileage.
+
+    The spread is about the mean of each trip's neighbours, a deviation with 1.5 times the variance
+    of a trip; a step or a slow drift hardly changes its median magnitude (Gasser, Sroka and
+    Jennen-Steinmetz, Biometrika 73, 1986).
+    """
+    done = np.isfinite(series.mileage_km) & np.isfinite(series.estimates[name])
+    values, flagged = series.estimates[name][done], series.flagged[done]
+    n_ends = min(N_LAST, len(values) // 2)
+    first, last = values[:n_ends], values[len(values) - n_ends :]
+    start, end = (float(np.median(side)) if n_ends else np.nan for side in (first, last))
+    return ParameterTrend(
+        name,
+        len(values),
+        start,
+        end,
+        100 * (end - start),
+        100 * robust_spread(values[1:-1] - (values[:-2] + values[2:]) / 2, 1.5),
+        n_ends,
+        flagged_last=int(flagged[len(values) - n_ends :].sum()),
+    )
+
+
+def step_words(mileage_km: FloatArray, values: FloatArray, spread_percent: float) -> str:
+    """Return where trips that are too few for ``find_changes`` have a step; empty without one.
+
+    It is the split into two levels with the least sum of squares, significant by Student's t test
+    with Bonferroni's correction for the number of splits. Trips are by mileage; NaN: no estimate.
+    """
+    done = np.isfinite(mileage_km) & np.isfinite(values)
+    km, values = mileage_km[done], values[done]
+    n, splits = len(values), np.arange(LEAST_SIDE, len(values) - LEAST_SIDE + 1)
+    if n < 2 * N_LAST:
+        return ""
+    centred = values - values.mean()
+    between = np.cumsum(centred)[splits - 1] ** 2 * n / (splits * (n - splits))
+    at, within = int(splits[between.argmax()]), max(centred @ centred - between.max(), 1e-300)
+    t = math.sqrt(between.max() / within * (n - 2))
+    percent = 100 * (float(np.median(values[at:]) / np.median(values[:at])) - 1)
+    is_large = abs(percent) > max(MULTIPLE * spread_percent, LEAST_PERCENT)
+    if not is_large or 2 * stats.t.sf(t, n - 2) * len(splits) >= LEVEL:
+        return ""
+    kind, about = "fell" if percent < 0 else "rose", round((km[at - 1] + km[at]) / 2, -3)
+    return Finding(kind, percent=abs(percent), km=about)
+
+
+@dataclass(frozen=True)
 class Assessment:
     """Assessment of one parameter from its trips; `words` is the reason of the severity.
 
-    `limited` is whether the parameter has limits; `alarms` are the active ones; `life` is the
-    mileage until the act limit, None if unknown; `now` [-] is the median of the last trips.
-    `unknown_life` is why the remaining life is unknown or unreliable, empty if it is known.
+    `limited` is whether the parameter has limits, `tested` whether there are enough trips to find a
+    change; `life` is the mileage until the act limit, None if unknown; `now` [-] is the median of
+    the last trips. `unknown_life` is why the remaining life is unknown or unreliable, empty if it
+    is known.
     """
 
     trend: ParameterTrend
     severity: Severity
     words: str
     limited: bool = True
-    alarms: tuple[Alarm, ...] = ()
+    tested: bool = True
     life: Life | None = None
     now: float = math.nan
     unknown_life: str = ""
@@ -63,58 +141,48 @@ class Assessment:
         return self.severity > Severity.NONE or self.trend.changed
 
 
-def assess(
-    trend: ParameterTrend,
-    last: LastTrips,
-    limits: Limits | None,
-    alarms: Sequence[Alarm] = (),
-    doubt: str = "",
-) -> Assessment:
-    """Return the assessment of one parameter, with the severity of ``severity_of``.
+@dataclass(frozen=True)
+class Evidence:
+    """What the assessment of one parameter rests on.
 
-    `trend` is that of all trips. `limits` None means that no value is alarming, as for M_s.
-    `alarms` are the active ones of the parameter. `doubt` is why the limits cannot be applied,
-    empty if they can.
+    `limits` None means that no value is alarming, as for M_s. `alarms` are the active ones of the
+    parameter, `lasting` says how it has changed for good, `changes` is the state of the detector.
+    `doubt` is why the limits cannot be applied, empty if they can.
     """
-    severity = severity_of(last, limits, alarms, doubt)
-    words = _words(trend, last, limits)
+
+    trend: ParameterTrend
+    last: LastTrips
+    limits: Limits | None
+    alarms: Sequence[Alarm] = ()
+    lasting: str = ""
+    changes: Changes = field(default_factory=Changes)
+    doubt: str = ""
+
+    @property
+    def is_short(self) -> bool:
+        """Whether the trips are too few to find a change, or the detector has not looked yet."""
+        is_unseen = not self.changes.n_needed and self.trend.n_trips < self.trend.n_needed
+        return bool(self.changes.why_not) or is_unseen
+
+
+def assess(of: Evidence) -> Assessment:
+    """Return the assessment of one parameter; all reports use this rule.
+
+    Its severity is the worst of the last trips' (``judge_last``) and of the active alarms'. A doubt
+    about a parameter with limits makes it unknown at least.
+    """
+    by_limits, words = judge_last(of.last, of.limits)[0], _words(of)
+    least = Severity.UNKNOWN if of.doubt and of.limits is not None else Severity.NONE
+    severity = max(least, by_limits, *(alarm.severity for alarm in of.alarms))
     # an alarm that the last trips alone do not explain comes first
-    worst = max(alarms, key=lambda alarm: (alarm.severity, -alarm.begin_km), default=None)
-    if worst is not None and worst.severity > judge_last(last, limits)[0]:
-        is_named = worst.cause == Cause.CHANGE and trend.changed
-        since = Finding("alarm-since", words=words if is_named else worst.words, km=worst.begin_km)
-        words = since if is_named else together((since, words))
-    if doubt and limits is not None:
-        words = together((doubt, words))
-    return Assessment(trend, severity, words, limits is not None, tuple(alarms))
-
-
-def severity_of(
-    last: LastTrips, limits: Limits | None, alarms: Sequence[Alarm], doubt: str = ""
-) -> Severity:
-    """Return the severity of a parameter; all reports use this rule.
-
-    It is the worst of the last trips' (``judge_last``) and of the active alarms'. A `doubt` about a
-    parameter with limits makes it unknown at least.
-    """
-    least = Severity.UNKNOWN if doubt and limits is not None else Severity.NONE
-    by_limits = judge_last(last, limits)[0]
-    return max(least, by_limits, *(alarm.severity for alarm in alarms))
-
-
-def _words(trend: ParameterTrend, last: LastTrips, limits: Limits | None) -> str:
-    """Return the reason from the trips alone, without alarms."""
-    severity, judged = judge_last(last, limits)
-    if len(last.values) == 0:
-        return "no trip with an estimate"
-    if limits is None or judged is None:
-        return _joined(_calm(trend, last), trend, last)
-    if judged.severity == Severity.NONE:
-        if severity == Severity.UNKNOWN:
-            return _not_judged(trend, last)
-        return _joined(_calm(trend, last, limits), trend, last)
-    words = [_level(judged, last, limits), *_development(trend, judged, limits)]
-    return _joined(words, trend, last, severity)
+    worst = max(of.alarms, key=lambda alarm: (alarm.severity, -alarm.begin_km), default=None)
+    if worst is not None and worst.severity > by_limits:
+        is_said = worst.cause == Cause.CHANGE and bool(of.lasting)
+        since = Finding("alarm-since", words=words if is_said else worst.words, km=worst.begin_km)
+        words = since if is_said else together((since, words))
+    if of.doubt and of.limits is not None:
+        words = together((of.doubt, words))
+    return Assessment(of.trend, severity, words, of.limits is not None, not of.is_short)
 
 
 def joined(assessments: Sequence[Assessment]) -> list[list[Assessment]]:
@@ -144,9 +212,7 @@ def overall(assessments: Sequence[Assessment]) -> tuple[Severity, str]:
     judged = [a for a in assessments if a.parameter != BODY_MASS]
     severity = max((a.severity for a in judged), default=Severity.UNKNOWN)
     n = {level: sum(a.severity == level for a in judged) for level in Severity}
-    n_known = sum(a.trend.n_trips > 0 for a in judged)
     n_changed = sum(a.trend.changed for a in judged)
-    n_tested = sum(a.trend.shape != Shape.TOO_FEW for a in judged)
     n_all, quiet = len(judged), "No parameter is beyond its limits"
     if not any(a.limited for a in judged):
         quiet = "No parameter has limits"
@@ -156,17 +222,47 @@ def overall(assessments: Sequence[Assessment]) -> tuple[Severity, str]:
         sentence = Finding(kind, n=n[severity], n_all=n_all, n_notice=n_notice)
     elif severity == Severity.NOTICE:
         sentence = Finding("notice", n=n[severity], n_all=n_all)
-    elif n_known == 0:
+    elif not any(a.trend.n_trips for a in judged):
         sentence = Finding("nothing-known")
     elif severity == Severity.UNKNOWN:
         sentence = Finding("not-all-judged", n=n[severity], n_all=n_all)
     elif n_changed:
         sentence = Finding("some-changed", quiet=quiet, n=n_changed, n_all=n_all)
-    elif n_tested < len(judged):
-        sentence = Finding("some-too-few" if n_tested else "all-too-few", quiet=quiet)
+    elif not all(a.tested for a in judged):
+        sentence = Finding("all-too-few", quiet=quiet)
     else:
         sentence = Finding("nothing-stands-out", quiet=quiet)
     return severity, sentence
+
+
+def _words(of: Evidence) -> str:
+    """Return the reason from the trips alone, without alarms."""
+    severity, judged = judge_last(of.last, of.limits)
+    if len(of.last.values) == 0:
+        return "no trip with an estimate"
+    if of.limits is None or judged is None:
+        clauses = _calm(of)
+    elif judged.severity > Severity.NONE:
+        clauses = [_level(judged, of.last, of.limits), *_development(of, judged, of.limits)]
+    elif severity == Severity.UNKNOWN:  # all of the last trips are flagged
+        n_last = len(of.last.values)
+        why = ALL_FLAGGED if of.last.all_flagged else Finding("all-last-flagged", n=n_last)
+        if of.last.all_flagged and n_last == 1:
+            why = ONE_FLAGGED
+        return together([Finding("not-judged", why=why), of.lasting])
+    else:
+        clauses = _calm(of)
+    flags = []
+    if of.last.all_flagged:
+        flags = [ALL_FLAGGED]
+    elif n_flagged := of.trend.flagged_last:
+        is_said = any(kind_is(clause, kind) for clause in clauses for kind in FLAGGED)
+        if n_flagged > 1 or not is_said:
+            flags = [Finding("flagged-last", n=n_flagged, n_ends=of.trend.n_ends)]
+    words = together([*clauses, *flags])
+    # flags silence no verdict, as a badly worn part is flagged too, but its numbers may be off
+    is_doubtful = severity >= Severity.NOTICE and bool(of.last.flagged.all())
+    return Finding("inspect-first", words=words) if is_doubtful and flags else words
 
 
 def _level(judged: Judged, last: LastTrips, limits: Limits) -> str:
@@ -199,126 +295,55 @@ def _level(judged: Judged, last: LastTrips, limits: Limits) -> str:
     return words
 
 
-def _development(trend: ParameterTrend, judged: Judged, limits: Limits) -> list[str]:
+def _development(of: Evidence, judged: Judged, limits: Limits) -> list[str]:
     """Return how the parameter reached its level, for a severity above none."""
-    if trend.shape == Shape.RETURNED and trend.step is not None:
-        if trend.n_trips - trend.step.n_before <= N_LAST:
-            return [Finding("change-began", km=_km(trend.step))]
-        size = _percent(trend.step.size_percent)
-        return [Finding("earlier-difference", percent=size, km=_km(trend.step))]
-    if trend.changed:
-        return [_change(trend)]
-    side, is_short = int(judged.side), trend.shape == Shape.TOO_FEW
+    trend, side = of.trend, int(judged.side)
+    if of.lasting:
+        return [of.lasting]
     if side * (trend.first_median - limits.notice[(side + 1) // 2]) > 0:
         return [Finding("since-first-trips")]
-    if is_short and trend.n_ends:
-        return [_first_trips(trend)]
-    if is_short or judged.severity == Severity.UNKNOWN:
+    if of.is_short and trend.n_ends:
+        return [Finding("first-trips", n=trend.n_ends, percent=100 * trend.first_median)]
+    if of.is_short or judged.severity == Severity.UNKNOWN:
         return []
     if judged.run and judged.count < N_CONFIRMING:
         return [Finding("too-few-lasting")]
     return [Finding("not-clear", percent=_percent(trend.spread_percent))]
 
 
-def _not_judged(trend: ParameterTrend, last: LastTrips) -> str:
-    """Return why nothing is judged if all of the last trips are flagged and within the limits."""
-    why = ALL_FLAGGED if last.all_flagged else Finding("all-last-flagged", n=len(last.values))
-    if last.all_flagged and len(last.values) == 1:
-        why = ONE_FLAGGED
-    return together([Finding("not-judged", why=why), *([_change(trend)] if trend.changed else [])])
-
-
-def _calm(trend: ParameterTrend, last: LastTrips, limits: Limits | None = None) -> list[str]:
+def _calm(of: Evidence) -> list[str]:
     """Return how the parameter develops if no limit is crossed or there are no limits."""
-    change, median = _change(trend), float(np.median(last.values))
+    trend, values, limits = of.trend, of.last.values, of.limits
+    median, scatter = float(np.median(values)), 3 * float(np.nan_to_num(trend.spread_percent))
+    if of.lasting:
+        change = of.lasting
+    elif of.is_short:
+        n_trips = of.changes.n_reference if of.changes.n_needed else trend.n_trips
+        n_needed = of.changes.n_needed or trend.n_needed
+        change = Finding("too-few-to-find", n_trips=n_trips, n_needed=n_needed)
+    else:
+        change = Finding("no-change", percent=_percent(trend.spread_percent))
     if trend.parameter == BODY_MASS:
         return [Finding("payload", change=change)]
-    scatter = 3 * float(np.nan_to_num(trend.spread_percent))
-    level = Finding("of-healthy", percent=100 * median)
     # a change, or else the level if it is far from healthy
-    if trend.changed:
+    words: list[str] = [change]
+    level = Finding("of-healthy", percent=100 * median)
+    if of.lasting:
         words = [Finding("within-limits-words", words=change) if limits else change]
     elif abs(100 * (median - 1)) > max(LARGE_PERCENT, scatter):
         words = [Finding("within-limits-words", words=level) if limits else level, change]
-    elif trend.shape == Shape.TOO_FEW and limits:
+    elif of.is_short and limits:
         words = ["within its limits", change]
-    else:
-        words = [change]
     # single trips that the median hides
-    if abs(100 * (last.values[-1] - median)) > max(REPORTED_PERCENT, scatter):
-        words.append(Finding("last-trip-at", percent=100 * last.values[-1]))
+    if abs(100 * (values[-1] - median)) > max(REPORTED_PERCENT, scatter):
+        words.append(Finding("last-trip-at", percent=100 * values[-1]))
     if limits:
-        n = int(np.sum((last.values < limits.notice[0]) | (last.values > limits.notice[1])))
+        n = int(np.sum((values < limits.notice[0]) | (values > limits.notice[1])))
         if n:
-            words.append(Finding("some-beyond", n=n, n_last=len(last.values)))
+            words.append(Finding("some-beyond", n=n, n_last=len(values)))
     return words
-
-
-def _change(trend: ParameterTrend) -> str:
-    words = _change_words(trend)
-    return Finding("without-flagged", words=words) if trend.without_flagged else words
-
-
-def _change_words(trend: ParameterTrend) -> str:
-    if trend.shape == Shape.TOO_FEW:
-        if abs(trend.change_percent) >= LARGE_PERCENT and trend.parameter != BODY_MASS:
-            return _first_trips(trend)
-        return Finding("too-few-to-find", n_trips=trend.n_trips, n_needed=trend.n_needed)
-    if trend.shape == Shape.NONE:
-        return Finding("no-change", percent=_percent(trend.spread_percent))
-    if trend.shape == Shape.RETURNED and trend.step is not None:
-        size = _percent(trend.step.size_percent)
-        return Finding("returned", percent=size, km=_km(trend.step))
-    change = trend.change_percent
-    verb = "falls" if change < 0 else "rises"
-    amount = Finding(verb, percent=_percent(change))
-    if abs(change) >= LARGE_PERCENT:
-        amount = Finding(f"{verb}-to", percent=100 * trend.last_median, n_ends=trend.n_ends)
-    if trend.shape == Shape.STEADY:
-        return Finding("steadily", words=amount)
-    if trend.step is None:
-        return Finding("from-first-to-last", words=amount)
-    if trend.shape == Shape.GRADUAL:
-        going_on = "gradually-falling" if change < 0 else "gradually-rising"
-        return Finding(going_on, words=amount, km=_km(trend.step))
-    return Finding("about", words=amount, km=_km(trend.step))
-
-
-def _first_trips(trend: ParameterTrend) -> str:
-    """Return where the first trips were, for a difference that too few trips can test."""
-    return Finding("first-trips", n=trend.n_ends, percent=100 * trend.first_median)
-
-
-def _joined(
-    clauses: Sequence[str],
-    trend: ParameterTrend,
-    last: LastTrips,
-    severity: Severity = Severity.NONE,
-) -> str:
-    """Return all clauses as one sentence, followed by the number of flagged trips."""
-    flags = []
-    if last.all_flagged:
-        flags.append(ALL_FLAGGED)
-    elif trend.flagged_first or trend.flagged_last:
-        first, newest, n_ends = trend.flagged_first, trend.flagged_last, trend.n_ends
-        if any(kind_is(clause, kind) for clause in clauses for kind in FLAGGED) and newest == 1:
-            newest = 0  # a clause says so already
-        if first and newest:
-            flags.append(Finding("flagged-both", n_first=first, n_last=newest, n_ends=n_ends))
-        elif first or newest:
-            kind = "flagged-first" if first else "flagged-last"
-            flags.append(Finding(kind, n=first or newest, n_ends=n_ends))
-    words = together([*clauses, *flags])
-    # flags silence no verdict, as a badly worn part is flagged too, but its numbers may be off
-    is_doubtful = severity >= Severity.NOTICE and bool(last.flagged.all())
-    return Finding("inspect-first", words=words) if is_doubtful and flags else words
 
 
 def _percent(value: float) -> Finding:
     size = abs(value)
     return percent(size, 0 if size >= LARGE_PERCENT else 1 if size >= 0.095 else 2)
-
-
-def _km(step: Step) -> float:
-    digits = math.floor(math.log10(max(step.gap_km, 1.0)))
-    return round(step.mileage_km, -digits)

@@ -14,7 +14,7 @@ from suspnet.ground.settings import LARGEST, check_settings, setting
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.trains.maintenance.cusum import (
     CLIP,
-    MAX_CORRELATION,
+    N_REFERENCE,
     Residuals,
     cusum,
     residuals,
@@ -28,9 +28,6 @@ BACK = 0.25
 SURE = 8.0
 """A change ends only after enough trips that the standard error of their mean is at most the size
 of the change over this."""
-STEP = 1.05
-"""False-alarm rates are rounded to powers of this, so that suspensions share simulated
-thresholds."""
 LONGEST_GAP = 2e4
 """Largest mileage between two trips that counts, [km]: a long pause allows no extra false alarm."""
 VARIES = 0.01
@@ -50,22 +47,9 @@ class ChangeSettings:
         low=1000,
         high=1e9,
     )
-    n_reference: int = setting(
-        20,
-        "Number of first trips that form the reference; no change is detected before",
-        low=8,
-        high=1000,
-    )
-    correlation: float = setting(
-        0.5,
-        "Largest correlation of successive trips for which that mileage holds",
-        low=0,
-        high=MAX_CORRELATION,
-    )
     least_percent: float = setting(
         0.1, "Smallest change that is reported", "% of healthy", low=0, below=100
     )
-    seed: int = setting(0, "Seed of the simulation that gives the thresholds", low=0)
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -117,15 +101,12 @@ def find_changes(
 ) -> Changes:
     """Return the changes of the parameters of one suspension since its last maintenance.
 
-    Each trip's log parameters are compared with a reference of the first trips and of later ones
-    that are more than ten trips old (``residuals``). A CUSUM of the pre-whitened deviations raises
-    an alarm at the ``threshold`` for a false-alarm rate that all parameters share. The rate per
-    trip follows from the mean spacing of the latest trips, as many as the reference has: later
-    trips change neither whether nor when an alarm is raised. If the interval of a trip is wider
-    than the median one of the reference, its deviation is divided by their ratio.
-
-    A change has ended when the median deviation of ``N_BACK`` trips is below ``BACK`` times its
-    size; more trips are needed if their mean is uncertain compared with that size (``SURE``). The
+    A CUSUM of each parameter's deviations from earlier trips (``residuals``) raises an alarm at the
+    ``threshold`` for a false-alarm rate that all parameters share. The rate per trip follows from
+    the mean spacing of the latest trips, so that later ones change neither whether nor when an
+    alarm is raised. If the interval of a trip is wider than the median one of the reference, its
+    deviation is divided by their ratio. A change has ended when the median deviation of ``N_BACK``
+    trips is below ``BACK`` times its size, of more trips if their mean is uncertain (``SURE``). The
     detector then starts again without the trips of the change.
 
     Parameters
@@ -135,9 +116,8 @@ def find_changes(
     values : mapping from parameter to array of shape (n_trips,), [-]
         Relative to healthy; NaN: no estimate.
     covariates : mapping from name to array of shape (n_trips,)
-        For example payload, speed and temperature. A covariate is ignored if, in the reference, it
-        is constant, a linear combination of the others, or missing for a trip. Later trips that
-        lack a covariate in use are not judged.
+        Ignored if, in the reference, constant, a linear combination of the others, or missing for a
+        trip. Later trips that lack a covariate in use are not judged.
     settings : ChangeSettings
     usable : bool array of shape (n_trips,), optional
         Trips to use, such as those without flags. All by default.
@@ -152,7 +132,14 @@ def find_changes(
     km, widths = np.asarray(mileage_km, dtype=float), widths or {}
     marks = {} if usable is None else {"usable": usable}
     columns = {"values": values, "covariates": covariates, "widths": widths, "usable": marks}
-    _check_shapes(km, columns)
+    if not values or km.ndim != 1:
+        raise ValueError("`values` must have one parameter at least, `mileage_km` one dimension")
+    for what, several in columns.items():
+        for name, column in several.items():
+            if np.shape(column) != km.shape:
+                raise ValueError(
+                    f"`{what}` must have {len(km)} trips each, got {np.shape(column)} for {name}"
+                )
     if (np.diff(km[np.isfinite(km)]) < 0).any():
         raise ValueError("`mileage_km` must ascend")
     # a trip counts for all parameters or for none
@@ -162,7 +149,7 @@ def find_changes(
     if usable is not None:
         good &= np.asarray(usable, dtype=bool)
     trips = np.flatnonzero(good)
-    needed = settings.n_reference
+    needed = N_REFERENCE
     if len(trips) < needed:
         why = Finding("reference-incomplete", n_trips=len(trips), needed=needed)
         return Changes(n_reference=len(trips), n_needed=needed, why_not=why)
@@ -184,19 +171,6 @@ def find_changes(
     return Changes(by_parameter, used_names, len(trips), needed, limit, n_unlike)
 
 
-def _check_shapes(km: FloatArray, columns: Mapping[str, Mapping[str, ArrayLike]]) -> None:
-    if not columns["values"]:
-        raise ValueError("`values` must have one parameter at least")
-    if km.ndim != 1:
-        raise ValueError(f"`mileage_km` must have one dimension, got {km.ndim}")
-    for what, several in columns.items():
-        for name, column in several.items():
-            if np.shape(column) != km.shape:
-                raise ValueError(
-                    f"`{what}` must have {len(km)} trips each, got {np.shape(column)} for {name}"
-                )
-
-
 @dataclass(frozen=True)
 class _Judged:
     """The usable trips: their indices, covariates (n_trips, n_covariates) and thresholds."""
@@ -213,16 +187,10 @@ def _limits(km: FloatArray, n_parameters: int, settings: ChangeSettings) -> Floa
     The rate per trip uses a moving mean of the gaps. Each gap enters it equally often, so the
     expected number of false alarms per km does not depend on the spacing of the trips.
     """
-    n_gaps = settings.n_reference - 1
+    n_gaps = N_REFERENCE - 1
     counted = np.cumsum(np.minimum(np.diff(km, prepend=km[0]), LONGEST_GAP))
     spacing = np.maximum((counted[n_gaps:] - counted[:-n_gaps]) / n_gaps, 1.0)
-    rates = np.minimum(spacing / settings.km_per_false_alarm / n_parameters, 0.05)
-    powers, where = np.unique(np.floor(np.log(rates) / np.log(STEP)), return_inverse=True)
-    limits = [
-        threshold(float(STEP**power), settings.n_reference, settings.correlation, settings.seed)
-        for power in powers
-    ]
-    return np.array(limits)[where]
+    return threshold(np.minimum(spacing / settings.km_per_false_alarm / n_parameters, 0.05))
 
 
 def _changes_of(
@@ -230,7 +198,7 @@ def _changes_of(
 ) -> list[Change]:
     """Return the changes of one parameter; arrays have one entry for each usable trip."""
     changes = []
-    trips, needed = judged.trips, judged.settings.n_reference
+    trips, needed = judged.trips, N_REFERENCE
     used = np.arange(len(logs))
     start = needed
     for _ in range(len(logs)):  # each turn ends, or leaves out a trip

@@ -1,4 +1,4 @@
-"""CUSUM of pre-whitened trips against a growing reference, and its thresholds by simulation.
+"""CUSUM of pre-whitened trips against a growing reference, and its thresholds.
 
 Symbols: t is the index of a trip, j the number of trips in the reference, phi the correlation of
 successive trips.
@@ -6,12 +6,10 @@ successive trips.
 
 from __future__ import annotations
 
-import functools
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
@@ -26,11 +24,28 @@ MAX_CORRELATION = 0.6
 """Largest correlation of successive trips that pre-whitening removes."""
 LEAST_SPREAD = 1e-6
 """Least standard deviation of trips, in the unit of the values: anything less is rounding."""
-N_SIMULATED = 8000
-N_MONITORED = 200
-"""Number of simulated healthy histories, and of their trips after the reference."""
-HORIZONS = (10, 20, 50, 100, 200)
-"""The false-alarm rate holds over each of these numbers of trips after the reference."""
+N_REFERENCE = 20
+"""Number of first trips that form the reference; no change is detected before."""
+CORRELATION = 0.5
+"""Largest correlation of successive trips for which ``THRESHOLDS`` hold: the least favourable one,
+because the trips of a reference do not determine their own well enough."""
+THRESHOLDS = (
+    (0.01, 6.000),
+    (0.005729, 6.607),
+    (0.003282, 7.746),
+    (0.00188, 9.102),
+    (0.001077, 10.480),
+    (0.0006171, 11.890),
+    (0.0003536, 13.271),
+    (0.0002025, 14.546),
+    (0.000116, 15.691),
+    (6.648e-05, 17.497),
+    (3.809e-05, 19.566),
+    (2.182e-05, 21.491),
+    (1.25e-05, 23.054),
+)
+"""Rates of false alarms over 10 to 200 trips after the reference and their thresholds, as
+benchmarks/thresholds.py simulates them."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +73,9 @@ class Residuals:
         return replace(self, **columns)
 
 
-def residuals(values: FloatArray, covariates: FloatArray, n_reference: int) -> Residuals:
+def residuals(
+    values: FloatArray, covariates: FloatArray, n_reference: int = N_REFERENCE
+) -> Residuals:
     """Return the deviation of each trip from a reference that grows with the history.
 
     Trip t is compared with the j trips before t - ``DELAY``, but at least the first `n_reference`.
@@ -67,16 +84,13 @@ def residuals(values: FloatArray, covariates: FloatArray, n_reference: int) -> R
     - phi is the posterior mean, with equal prior weights on 0 to ``MAX_CORRELATION``, given the
       first autocorrelation of the least-squares residuals, whose bias is -(1 + 3 phi) / j and
       whose variance is (1 - phi^2) / j;
-    - b and the variance s^2 of e follow from least squares on x_t - phi x_(t-1), with s^2 at least
-      j / nu times the square of ``LEAST_SPREAD``;
-    - z, the ratio of e_t to its standard deviation including the uncertainty of b, follows
-      Student's t and is transformed to a standard normal by
-      z (1 - 1 / (4 nu)) / sqrt(1 + z^2 / (2 nu)), with nu = j - 1 minus the length of x (Abramowitz
-      and Stegun, 26.7.8).
+    - b and the variance s^2 of e follow from least squares on x_t - phi x_(t-1);
+    - z, e_t over its standard deviation including the uncertainty of b, follows Student's t with
+      nu = j - 1 minus the length of x degrees of freedom and is made normal by
+      z (1 - 1 / (4 nu)) / sqrt(1 + z^2 / (2 nu)) (Abramowitz and Stegun, 26.7.8).
 
     A later trip with abs(z) above ``CLIP`` never joins the reference, where one outlier would hide
-    changes: its x and y are set to zero and it does not count in j. A lasting change of that size
-    has already raised an alarm.
+    changes: a lasting change of that size has already raised an alarm.
 
     `values` is (n_trips, ...), `covariates` (n_trips, ..., n_covariates), where n_covariates may
     be 0. ValueError is raised if `n_reference` is below 8 or n_covariates + 4, or the covariates of
@@ -149,63 +163,21 @@ def cusum(standard: FloatArray) -> FloatArray:
     return walks - np.minimum(0, np.minimum.accumulate(walks, axis=1))
 
 
-@functools.lru_cache(maxsize=1024)
-def threshold(rate: float, n_reference: int, correlation: float = 0.5, seed: int = 0) -> float:
-    """Return the threshold of ``cusum``, [standard deviations], for a rate of false alarms.
+def threshold(rate: ArrayLike) -> FloatArray:
+    """Return the thresholds of ``cusum``, [standard deviations], for rates of false alarms.
 
-    ``N_SIMULATED`` healthy histories, each with its own reference, are drawn from a normal
-    autoregressive process. The rate counts first false alarms per monitored trip, and holds over
-    each of ``HORIZONS``. The CUSUM of standardised residuals does not depend on the level and
-    spread of the trips, so this is a parametric bootstrap for any suspension. It uses the least
-    favourable correlation, because `n_reference` trips do not determine their own well enough. The
-    threshold is at least ``CLIP``, so that no trip raises an alarm alone. Rates too small for the
-    simulation are extrapolated: the log rate falls linearly with the threshold, with the slope of
-    the last decade simulated, which is flatter than the exp(-2 k h) of a known level.
-
-    `rate` is per trip, `n_reference` at least 8, `correlation` the largest expected correlation of
-    successive trips, up to ``MAX_CORRELATION``. ValueError is raised if one is out of range.
+    A rate counts first false alarms per monitored trip. The log rate is interpolated linearly in
+    ``THRESHOLDS``, and extrapolated beyond its rarest alarms with the slope of the last decade,
+    flatter than the exp(-2 k h) of a known level; a threshold is at least ``CLIP``, so that
+    no trip raises an alarm alone. ValueError is raised if a rate is not above 0 and below 1.
     """
-    check_number("rate", rate, above=0, below=1)
-    check_number("correlation", correlation, low=0, high=MAX_CORRELATION)
-    peaks = healthy_peaks(n_reference, float(correlation), seed)
-    shown = 20 / (N_SIMULATED * HORIZONS[-1])
-    if rate >= shown:
-        return _least(peaks, rate)
-    last, before = _least(peaks, shown), _least(peaks, 10 * shown)
-    slope = max((last - before) / math.log(10), 1 / (2 * ALLOWANCE))
-    return last + slope * math.log(shown / rate)
-
-
-def _least(peaks: NDArray[np.float32], rate: float) -> float:
-    """Return the least threshold, at least ``CLIP``, whose rate is at most `rate`."""
-    low, high = CLIP, float(peaks[-1].max())
-    for _ in range(24):  # the rate falls with the threshold: bisection to 1e-7 of the range
-        middle = (low + high) / 2
-        low, high = (middle, high) if false_alarm_rate(peaks, middle) > rate else (low, middle)
-    return high
-
-
-def false_alarm_rate(peaks: NDArray[np.float32], threshold: float) -> float:
-    """Return the largest rate of first alarms over the horizons; `peaks` of ``healthy_peaks``."""
-    quiet = (peaks <= threshold).sum(axis=0)  # trips before the first alarm
-    return max(
-        float((quiet < trips).mean() / np.minimum(quiet + 1, trips).mean()) for trips in HORIZONS
-    )
-
-
-@functools.lru_cache(maxsize=8)
-def healthy_peaks(n_reference: int, correlation: float, seed: int) -> NDArray[np.float32]:
-    """Return the largest CUSUM up to each trip, (``N_MONITORED``, ``N_SIMULATED``)."""
-    random = np.random.default_rng(seed)
-    peaks = np.empty((N_MONITORED, N_SIMULATED), np.float32)
-    chunk = 500  # histories at once, which bounds the memory
-    for begin in range(0, N_SIMULATED, chunk):
-        noise = random.standard_normal((n_reference + N_MONITORED, chunk))
-        values = autoregressive(noise, correlation)
-        standard = residuals(values, np.empty((*values.shape, 0)), n_reference).standard
-        largest = cusum(standard).max(axis=0)
-        peaks[:, begin : begin + chunk] = np.maximum.accumulate(largest, axis=0)
-    return peaks
+    rates = np.asarray(rate, dtype=float)
+    if not ((rates > 0) & (rates < 1)).all():
+        raise ValueError(f"`rate` must be above 0 and below 1, got {rates}")
+    rarer, limits = -np.log([row[0] for row in THRESHOLDS]), [row[1] for row in THRESHOLDS]
+    beyond = np.maximum(-np.log(rates) - rarer[-1], 0.0)
+    slope = (limits[-1] - limits[-5]) / (rarer[-1] - rarer[-5])
+    return np.asarray(np.interp(-np.log(rates), rarer, limits) + slope * beyond)
 
 
 def autoregressive(noise: FloatArray, correlation: float | FloatArray) -> FloatArray:

@@ -42,9 +42,9 @@ POWERS = np.array([0.5, 0.7, 1.0, 1.4, 2.0])
 """Powers of the mileage since the onset in "changing rate"."""
 POWER_UNITS = 3.0
 """Mileage [UNIT_KM] after the onset over which the rate of a power law is the mean rate."""
-EXPONENTIAL, STEP, FIRST_WIENER = 2, 3, 4
+LINEAR, EXPONENTIAL, STEP, FIRST_WIENER = 1, 2, 3, 4
 FIRST_CHANGING = FIRST_WIENER + DIFFUSIONS.size
-"""Rows of ``FleetPrior.models``, those of "wiener" and "changing rate" the first ones."""
+"""Rows of ``WearPrior.models``, those of "wiener" and "changing rate" the first ones."""
 N_STARTS = 8
 """Number of onsets of Brownian motion; an onset of the drift uses the last one before it."""
 SHORTEST = 1e-9
@@ -56,37 +56,58 @@ DETAILED = 0.3
 
 
 @dataclass(frozen=True)
-class FleetPrior:
+class WearPrior:
     """Prior over models and rates.
 
     `models`, (n_rows,): probability of "no trend", "linear", "exponential", "step", "wiener" with
-    each of ``DIFFUSIONS`` and "changing rate" with each of ``RATE_CHANGES``. `weights` [-], `means`
-    and `spreads` [1 / UNIT_KM], (n_components,): the normal mixture of the rate.
+    each of ``DIFFUSIONS`` and "changing rate" with each of ``RATE_CHANGES``. `weights` [-] and
+    `spreads` [1 / UNIT_KM], (n_components,): the mixture of normal distributions of mean 0 of the
+    rate.
     """
 
     models: FloatArray
     weights: FloatArray
-    means: FloatArray
     spreads: FloatArray
 
 
-def fit_models(blocks: Blocks, noise: Noise, prior: FleetPrior) -> list[Fit]:
+DEFAULT_PRIOR = WearPrior(
+    models=np.concatenate(
+        [
+            [0.8, 0.04, 0.04, 0.02],
+            0.06 * DIFFUSIONS / DIFFUSIONS.sum(),
+            np.full(RATE_CHANGES.size, 0.04 / RATE_CHANGES.size),
+        ]
+    ),
+    weights=np.array([0.5, 0.35, 0.15]),
+    spreads=np.array([0.03, 0.1, 0.3]),
+)
+"""Vague prior: four of five parameters do not wear. The rates of the others have standard
+deviations of 3, 10 or 30 % in 100,000 km, with either sign; slow rates are more likely."""
+
+
+def fit_models(blocks: Blocks, noise: Noise, prior: WearPrior = DEFAULT_PRIOR) -> list[Fit]:
     """Return the fit of each of ``MODELS``, or of the first four if a change is unlikely.
 
     `noise` has one entry for diffusion 0 and one for each of ``DIFFUSIONS``.
     """
     covariance = noise_covariance(blocks, noise.variance, noise.correlation)
-    fits = [_without_trend(blocks, covariance[:1], prior)]
-    fits += [
-        _straight(blocks, covariance[:1], prior, row, _onsets(blocks.last))
-        for row in range(1, FIRST_WIENER)
-    ]
+    # a constant value is a rate whose prior is 0
+    constant = WearPrior(prior.models, np.ones(1), np.full(1, 1e-9))
+    hinges = Hinges(np.zeros((1, 1)), np.ones((1, 1)), np.zeros((1, 1)))
+    fits = [Fit(blocks, covariance[:1], hinges, constant, np.zeros(1, dtype=np.int64))]
+    for row in (LINEAR, EXPONENTIAL, STEP):
+        onsets = _onsets(blocks.last)
+        fit = _straight(blocks, covariance[:1], prior, row, onsets)
+        for _ in range(ONSET_PASSES):
+            best = int(fit.log_weight.max(axis=(0, 1, 3)).argmax())
+            low, high = onsets[max(best - 1, 0)], onsets[min(best + 1, onsets.size - 1)]
+            onsets = np.unique(np.concatenate([onsets, np.linspace(low, high, 17)]))
+            fit = _straight(blocks, covariance[:1], prior, row, onsets)
+        fits.append(fit)
     # Brownian motion costs most of the time and only matters where there is a trend
-    if shares(fits)[0][0] > 1 - DETAILED:
-        return fits
-    fits[1:] = [_refined(blocks, covariance[:1], prior, fit) for fit in fits[1:]]
-    fits.append(_wandering(blocks, covariance[1:], prior, Motion(DIFFUSIONS**2, False)))
-    fits.append(_wandering(blocks, covariance[:1], prior, Motion(RATE_CHANGES**2, True)))
+    if shares(fits)[0][0] <= 1 - DETAILED:
+        fits.append(_wandering(blocks, covariance[1:], prior, Motion(DIFFUSIONS**2, False)))
+        fits.append(_wandering(blocks, covariance[:1], prior, Motion(RATE_CHANGES**2, True)))
     return fits
 
 
@@ -94,33 +115,16 @@ def _onsets(last: float) -> FloatArray:
     return last * np.linspace(0, 0.95, N_ONSETS)
 
 
-def _without_trend(blocks: Blocks, covariance: FloatArray, prior: FleetPrior) -> Fit:
-    # a constant value is a rate whose prior is 0
-    constant = FleetPrior(prior.models, np.ones(1), np.zeros(1), np.full(1, 1e-9))
-    hinges = Hinges(np.zeros((1, 1)), np.ones((1, 1)), np.zeros((1, 1)))
-    return Fit(blocks, True, covariance[:, None], hinges, constant, np.zeros(1, dtype=np.int64))
-
-
 def _straight(
-    blocks: Blocks, covariance: FloatArray, prior: FleetPrior, row: int, onsets: FloatArray
+    blocks: Blocks, covariance: FloatArray, prior: WearPrior, row: int, onsets: FloatArray
 ) -> Fit:
-    is_step = row == STEP
-    log_measure = _log_measure(onsets, 0.0 if is_step else AT_ONCE)
-    hinges = Hinges(onsets[None], np.full((1, onsets.size), float(not is_step)), log_measure[None])
-    return Fit(blocks, row != EXPONENTIAL, covariance[:, None], hinges, prior, np.array([row]))
+    log_measure = _log_measure(onsets, 0.0 if row == STEP else AT_ONCE)[None]
+    hinges = Hinges(onsets[None], np.full((1, onsets.size), float(row != STEP)), log_measure)
+    linear = row != EXPONENTIAL
+    return Fit(blocks, covariance, hinges, prior, np.array([row]), linear=linear)
 
 
-def _refined(blocks: Blocks, covariance: FloatArray, prior: FleetPrior, fit: Fit) -> Fit:
-    for _ in range(ONSET_PASSES):
-        onsets = fit.hinges.onsets[0]
-        best = int(fit.log_weight.max(axis=(0, 1, 3)).argmax())
-        low, high = onsets[max(best - 1, 0)], onsets[min(best + 1, onsets.size - 1)]
-        onsets = np.unique(np.concatenate([onsets, np.linspace(low, high, 17)]))
-        fit = _straight(blocks, covariance, prior, int(fit.rows[0]), onsets)
-    return fit
-
-
-def _wandering(blocks: Blocks, covariance: FloatArray, prior: FleetPrior, motion: Motion) -> Fit:
+def _wandering(blocks: Blocks, covariance: FloatArray, prior: WearPrior, motion: Motion) -> Fit:
     powers = POWERS if motion.integrated else np.ones(1)
     onsets = _onsets(blocks.last)
     log_measure = np.repeat(_log_measure(onsets), powers.size) - np.log(powers.size)
@@ -130,8 +134,7 @@ def _wandering(blocks: Blocks, covariance: FloatArray, prior: FleetPrior, motion
         log_measure.reshape(N_STARTS, -1),
     )
     first = FIRST_CHANGING if motion.integrated else FIRST_WIENER
-    rows = first + np.arange(motion.variances.size)
-    return Fit(blocks, True, covariance[:, None], hinges, prior, rows, motion)
+    return Fit(blocks, covariance, hinges, prior, first + np.arange(motion.variances.size), motion)
 
 
 def _log_measure(onsets: FloatArray, at_once: float = AT_ONCE) -> FloatArray:
@@ -172,15 +175,15 @@ class Motion:
         Those of the blocks with the state, (n_starts, n_blocks, 3), and those of the state itself,
         (n_starts, 3, 3).
         """
-        own = np.zeros((last.size, 3, 3))
-        none = np.zeros_like(since)
+        own, of_blocks = np.zeros((last.size, 3, 3)), np.zeros((*since.shape, 3))
         if not self.integrated:
-            own[:, 0, 0] = last
-            return np.stack([since, none, none], axis=-1), own
+            own[:, 0, 0], of_blocks[..., 0] = last, since
+            return of_blocks, own
         own[:, 0, 0], own[:, 2, 2] = last**3 / 3, last
         own[:, 0, 2] = own[:, 2, 0] = last**2 / 2
-        value = since**2 * (3 * last[:, None] - since) / 6
-        return np.stack([value, none, since**2 / 2], axis=-1), own
+        of_blocks[..., 0] = since**2 * (3 * last[:, None] - since) / 6
+        of_blocks[..., 2] = since**2 / 2
+        return of_blocks, own
 
 
 @dataclass(frozen=True)
@@ -219,9 +222,9 @@ class Fit:
     ([1]_, sec. 2.7). `linear` models the value, else its logarithm; the linear scale is divided by
     the value, so that noise is relative to the value in both.
 
-    `covariance`, (n_motions or 1, 1, n_blocks, n_blocks), is that of the noise; `rows`,
-    (n_motions,), are rows of ``FleetPrior.models``. `log_weight`, (n_motions, n_starts, n_onsets,
-    n_components), is the logarithm of prior times evidence of each node.
+    `covariance`, (n_motions or 1, n_blocks, n_blocks), is that of the noise; `rows`, (n_motions,),
+    are rows of ``WearPrior.models``. `log_weight`, (n_motions, n_starts, n_onsets, n_components),
+    is the logarithm of prior times evidence of each node.
 
     References
     ----------
@@ -231,12 +234,13 @@ class Fit:
     def __init__(
         self,
         blocks: Blocks,
-        linear: bool,
         covariance: FloatArray,
         hinges: Hinges,
-        prior: FleetPrior,
+        prior: WearPrior,
         rows: IntArray,
         motion: Motion | None = None,
+        *,
+        linear: bool = True,
     ) -> None:
         self.hinges, self.rows, self.last = hinges, rows, blocks.last
         scale = 1 + blocks.value if linear else np.ones(blocks.t.size)
@@ -246,12 +250,12 @@ class Fit:
         start = hinges.onsets[:, 0]
         self._with_last = np.zeros((1, start.size, scale.size, 3))
         self._own = np.zeros((1, start.size, 3, 3))
-        total = covariance
+        total = covariance[:, None]
         if motion is not None:  # Brownian motion adds to the noise and to the state at the end
             since = np.maximum(blocks.t - start[:, None], 0)
             variances = motion.variances[:, None, None, None]
             shape = motion.covariance(since, blocks.length) / np.outer(scale, scale)
-            total = covariance + variances * shape
+            total = total + variances * shape
             with_last, own = motion.with_last(since, blocks.last - start)
             self._with_last = variances * with_last / scale[:, None]
             self._own = variances * own
@@ -260,11 +264,8 @@ class Fit:
         except np.linalg.LinAlgError:
             total = positive_definite(total)
             factor = np.linalg.cholesky(total)
-        diagonal = np.diagonal(factor, axis1=-2, axis2=-1)
+        log_det = 2 * np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
         self._inverse = np.linalg.inv(total)
-        self._solve(2 * np.log(diagonal).sum(axis=-1), prior)
-
-    def _solve(self, log_det: FloatArray, prior: FleetPrior) -> None:
         # sums of the normal equations of the two unknowns level and rate
         of_unit, of_values = (self._inverse @ x for x in (self._unit, self._values))
         of_course = self._course @ self._inverse  # (motions, starts, onsets, blocks)
@@ -276,14 +277,13 @@ class Fit:
         yy = (of_values @ self._values)[..., None, None]
         # with the prior: their posterior, and the evidence of each node
         p1, p2 = LEVEL_SPREAD**-2.0, prior.spreads**-2.0
-        m11, m12, m22, r2 = a11 + p1, a12, a22 + p2, c2 + p2 * prior.means
-        det = m11 * m22 - m12**2
-        self._level, self._rate = (m22 * c1 - m12 * r2) / det, (m11 * r2 - m12 * c1) / det
-        self._spreads = [m / det for m in (m22, -m12, m11)]
-        misfit = yy + p2 * prior.means**2 - self._level * c1 - self._rate * r2
+        m11, m22 = a11 + p1, a22 + p2
+        det = m11 * m22 - a12**2
+        self._level, self._rate = (m22 * c1 - a12 * c2) / det, (m11 * c2 - a12 * c1) / det
+        self._spreads = [m / det for m in (m22, -a12, m11)]
+        misfit = yy - self._level * c1 - self._rate * c2
         evidence = -0.5 * (log_det[..., None, None] + np.log(det / (p1 * p2)) + misfit)
-        log_prior = np.log(np.maximum(prior.models[self.rows], TINY))[:, None, None]
-        log_prior = log_prior + self.hinges.log_prior
+        log_prior = np.log(np.maximum(prior.models[rows], TINY))[:, None, None] + hinges.log_prior
         self.log_weight = evidence + log_prior[..., None] + np.log(np.maximum(prior.weights, TINY))
 
     def now(self, nodes: IntArray) -> NodeStates:
@@ -300,9 +300,10 @@ class Fit:
         gain[:, 0, 0] += 1
         gain[:, 0, 1] += powered(since, power)
         gain[:, 1, 1] += 1
-        at = (m, s, o, j)
-        level, rate = (np.broadcast_to(x, self._rate.shape)[at] for x in (self._level, self._rate))
-        s11, s12, s22 = (np.broadcast_to(x, self._rate.shape)[at] for x in self._spreads)
+        level, rate, s11, s12, s22 = (
+            np.broadcast_to(x, self._rate.shape)[m, s, o, j]
+            for x in (self._level, self._rate, *self._spreads)
+        )
         spread = np.stack([s11, s12, s12, s22], axis=-1).reshape(-1, 2, 2)
         spare = self._own[first, s] - with_last.swapaxes(1, 2) @ of_last
         return NodeStates(
@@ -318,7 +319,7 @@ class Fit:
 class NodeStates:
     """Gaussian states of nodes at the last trip.
 
-    `row` of ``FleetPrior.models``, mileage `since` the onset [UNIT_KM] and its `power`: (n_nodes,).
+    `row` of ``WearPrior.models``, mileage `since` the onset [UNIT_KM] and its `power`: (n_nodes,).
     `mean`, (n_nodes, 3): value - 1 (or the logarithm of the value for "exponential"), rate of the
     drift and change of the rate by Brownian motion, both [1 / UNIT_KM]; `covariance`,
     (n_nodes, 3, 3).

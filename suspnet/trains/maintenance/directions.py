@@ -2,17 +2,12 @@
 
 Estimates of consecutive trips in opposite directions should agree. With d_i the difference of the
 logarithms (forward - reverse) of pair i, h_i the root of the sum of both squared half widths, and
-w_i = 1 / h_i^2, the difference of the directions and its variance, from the pairs' own scatter, are
-::
+w_i = 1 / h_i^2, an error e that all trips share widens the intervals to sqrt(h^2 + (z e)^2)::
 
-    m = sum w_i d_i / sum w_i,    v = sum w_i (d_i - m)^2 / ((n - 1) sum w_i).
+    m = sum w_i d_i / sum w_i,    v = sum w_i (d_i - m)^2 / ((n - 1) sum w_i),
+    e^2 = max(m^2 - v, 0) / 4.
 
-Half of the part of m beyond its noise is the standard deviation of an error that all trips share::
-
-    e^2 = max(m^2 - v, 0) / 4,    (half width)^2 = h^2 + (z e)^2.
-
-e of a trip is of the pairs up to this trip, so that later trips do not change its interval. Where
-the first trip of every pair ran in one direction, m includes the wear from one trip to the next.
+e of a trip is of the pairs up to this trip, so that later trips do not change its interval.
 """
 
 from __future__ import annotations
@@ -89,15 +84,13 @@ def direction_errors(
         weights = 1 / (half_widths[first] ** 2 + half_widths[second] ** 2)
         d = signs[first] * (logs[first] - logs[second])
     usable = np.isfinite(d) & np.isfinite(weights) & (weights > 0)
-    weights, d, ends = weights[usable], d[usable], second[usable]
-    most = MOST / np.sqrt(weights)
-    d = np.clip(d, -most, most)
+    weights, ends = weights[usable], second[usable]
+    d = np.clip(d[usable], -MOST / np.sqrt(weights), MOST / np.sqrt(weights))
     # sums over the pairs up to each one; n - 1 is not used where it is 0
     n, total = np.arange(1, len(d) + 1), np.cumsum(weights)
     mean = np.cumsum(weights * d) / total
     squares = np.maximum(np.cumsum(weights * d**2) - total * mean**2, 0.0)
     variance = squares / (np.maximum(n - 1, 1) * total)
-    errors = np.sqrt(np.maximum(mean**2 - variance, 0.0)) / 2
-    errors[: LEAST_PAIRS - 1] = 0.0
+    errors = np.where(n >= LEAST_PAIRS, np.sqrt(np.maximum(mean**2 - variance, 0.0)) / 2, 0.0)
     n_ended = np.searchsorted(ends, np.arange(len(logs)), side="right")
-    return np.asarray(np.concatenate([[0.0], errors])[n_ended])
+    return np.asarray(np.append(0.0, errors)[n_ended])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
@@ -13,18 +13,20 @@ from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.trains.maintenance.degradation import (
     DIFFUSIONS,
+    EXPONENTIAL,
+    FIRST_CHANGING,
+    FIRST_WIENER,
     MODELS,
     RATE_CHANGES,
-    Fit,
-    FleetPrior,
+    STEP,
+    NodeStates,
     fit_models,
     join,
+    powered,
     shares,
 )
-from suspnet.trains.maintenance.first_passage import HORIZON_KM, draw_lives_km
 from suspnet.trains.maintenance.noise import (
     LEAST_NOISE,
-    ROUNDED_QUARTILE,
     UNIT_KM,
     average,
     clip_outliers,
@@ -32,29 +34,20 @@ from suspnet.trains.maintenance.noise import (
     robust_spread,
 )
 
+HORIZON_KM = 5e6
+"""Mileage after which a crossing counts as never, as no prediction reaches so far, [km]."""
+FUTURE = np.concatenate([[0.0], np.geomspace(1e-3, HORIZON_KM / UNIT_KM, 150)])
+"""Mileages [UNIT_KM] after the last trip at which paths of a changing rate are sampled."""
 BEST_TRIP = 0.01
 """Lower bound of a trip's noise, relative to the median of all trips: an interval of width 0 is not
 credible."""
 MIN_TRIPS = 5
 """Fewest trips with an estimate from which a life is predicted."""
+N_SAMPLES = 500
 SHOWN_LEVEL = 0.8
 """Probability of the interval in which a limit is passed, as texts, pages and the plan show it."""
 NOISE_TRIPS = 4.0
 """Degrees of freedom that the half-widths add to those of the trips when the noise is estimated."""
-DEFAULT_PRIOR = FleetPrior(
-    models=np.concatenate(
-        [
-            [0.8, 0.04, 0.04, 0.02],
-            0.06 * DIFFUSIONS / DIFFUSIONS.sum(),
-            np.full(RATE_CHANGES.size, 0.04 / RATE_CHANGES.size),
-        ]
-    ),
-    weights=np.array([0.5, 0.35, 0.15]),
-    means=np.zeros(3),
-    spreads=np.array([0.03, 0.1, 0.3]),
-)
-"""Vague prior: four of five parameters do not wear. The rates of the others have standard
-deviations of 3, 10 or 30 % in 100,000 km, with either sign; slow rates are more likely."""
 
 
 @dataclass(frozen=True)
@@ -63,13 +56,12 @@ class Life:
 
     `model` is "no trend" if its probability is at least 0.5, else the most probable other one of
     ``MODELS``. `samples_km`, (n_samples,), are mileages from the last trip until the nearer limit
-    is passed; inf: not within ``HORIZON_KM``, 0: already passed. `probabilities` [-] are those of
-    the models; the samples are drawn from all models in these proportions.
+    is passed, of all models by their probabilities; inf: not within ``HORIZON_KM``, 0: already
+    passed.
     """
 
     model: str
     samples_km: FloatArray
-    probabilities: dict[str, float] = field(default_factory=dict)
 
     def quantile_km(self, q: float) -> float:
         """Return the mileage within which the limit is passed with probability `q`."""
@@ -88,16 +80,8 @@ class Life:
 
     def __str__(self) -> str:
         """Return model, median and the interval of 80 % as text."""
-        low, high = self.interval_km()
-        median = self.quantile_km(0.5)
-        if np.isinf(low):
-            return f"{self.model}: no crossing within {HORIZON_KM:,.0f} km (90 %)"
-        if high == 0:
-            return f"{self.model}: limit passed"
-        if np.isinf(median):
-            return f"{self.model}: limit passed within {low:,.0f} km with 10 %, perhaps never"
-        latest = f"{high:,.0f}" if np.isfinite(high) else "never"
-        return f"{self.model}: {median:,.0f} km to go (80 %: {low:,.0f} to {latest})"
+        low, median, high = (f"{self.quantile_km(q):,.0f}" for q in (0.1, 0.5, 0.9))
+        return f"{self.model}: {median} km to go (80 %: {low} to {high})"
 
 
 def predict_life(
@@ -106,12 +90,9 @@ def predict_life(
     half_widths: ArrayLike,
     limits_pair: tuple[float, float],
     *,
-    fleet: FleetPrior | None = None,
-    level: float = INTERVAL_LEVEL,
     seed: int = 0,
-    n_samples: int = 500,
 ) -> Life:
-    """Return the remaining life of one parameter of one suspension.
+    """Return the remaining life of one parameter of one suspension, as ``N_SAMPLES`` samples.
 
     Parameters
     ----------
@@ -123,11 +104,7 @@ def predict_life(
         Half-widths of their intervals, in logarithms; NaN: none.
     limits_pair : (lower, upper), [-]
         Lower 0 or upper infinity means no limit on that side.
-    fleet : FleetPrior, optional
-        Prior of suspensions of this type, from ``learn_fleet``.
-    level : float
-        Level of the intervals.
-    seed, n_samples : int
+    seed : int
 
     Raises
     ------
@@ -150,57 +127,37 @@ def predict_life(
     >>> life.probability(50_000)
     0.0
     """
-    check_number("n_samples", n_samples, low=1, most=1e5, whole=True)
     check_number("seed", seed, low=0, whole=True)
-    lower, upper = _checked_limits(limits_pair)
-    fits, n_trips = fit_trips(mileage_km, values, half_widths, level, fleet or DEFAULT_PRIOR)
-    rng = np.random.default_rng(seed)
-    # draw nodes of all models by their probability, then each one's state and passage
-    weights = shares(fits)
-    ends = np.cumsum([0, *(weight.size for weight in weights)])
-    drawn = _stratified(np.concatenate(weights), n_samples, rng)
-    node, draw = np.unique(drawn, return_inverse=True)
-    states = [
-        fit.now(node[(node >= begin) & (node < end)] - begin)
-        for fit, begin, end in zip(fits, ends[:-1], ends[1:], strict=True)
-    ]
-    freedom = n_trips + NOISE_TRIPS
-    samples = rng.permutation(draw_lives_km(join(states), draw, (lower, upper), freedom, rng))
-    # models that were not fitted have no share
-    share = np.zeros(len(MODELS))
-    share[: len(fits)] = [weight.sum() for weight in weights]
-    model = MODELS[0 if share[0] >= 0.5 else 1 + int(share[1:].argmax())]
-    return Life(model, samples, dict(zip(MODELS, share.tolist(), strict=True)))
-
-
-def _stratified(weight: FloatArray, n: int, rng: np.random.Generator) -> IntArray:
-    """Return `n` indices drawn with these weights by stratified sampling."""
-    places = (np.arange(n) + rng.random(n)) / n
-    return np.minimum(np.searchsorted(np.cumsum(weight), places), weight.size - 1)
-
-
-def fit_trips(
-    mileage_km: ArrayLike,
-    values: ArrayLike,
-    half_widths: ArrayLike,
-    level: float,
-    prior: FleetPrior,
-) -> tuple[list[Fit], int]:
-    """Return the fits of the models, in the order of ``MODELS``, and the number of estimates."""
-    check_number("level", level, above=0, below=1)
+    lower, upper = limits_pair
+    check_number("limits_pair[0]", lower, low=0, below=1)
+    if upper != np.inf:
+        check_number("limits_pair[1]", upper, above=1)
     km, value, half = _checked_series(mileage_km, values, half_widths)
-    t = (km - km[0]) / UNIT_KM
-    sigma = half / NormalDist().inv_cdf((1 + level) / 2)
+    # the noise of each trip, from its interval or, without one, from the scatter of all
+    t, sigma = (km - km[0]) / UNIT_KM, half / NormalDist().inv_cdf((1 + INTERVAL_LEVEL) / 2)
     is_known = np.isfinite(sigma)
-    steps = np.diff(np.log(value), 2)
-    usual = robust_spread(steps, 6, ROUNDED_QUARTILE)
+    usual = robust_spread(np.diff(np.log(value), 2), 6)
     if is_known.any():
         usual = np.median(sigma[is_known])
     sigma = np.maximum(np.where(is_known, sigma, usual), max(LEAST_NOISE, BEST_TRIP * usual))
     value = clip_outliers(value)
     noise = estimate_noise(t, np.log(value), sigma, np.append(0.0, DIFFUSIONS))
-    blocks = average(t, value, sigma)
-    return fit_models(blocks, noise, prior), km.size
+    fits = fit_models(average(t, value, sigma), noise)
+    # draw nodes of all models by their probability, then each one's state and passage
+    rng = np.random.default_rng(seed)
+    weights = shares(fits)
+    ends = np.cumsum([0, *(weight.size for weight in weights)])
+    places = (np.arange(N_SAMPLES) + rng.random(N_SAMPLES)) / N_SAMPLES  # stratified
+    drawn = np.searchsorted(np.cumsum(np.concatenate(weights)), places)
+    node, draw = np.unique(np.minimum(drawn, ends[-1] - 1), return_inverse=True)
+    states = [
+        fit.now(node[(node >= begin) & (node < end)] - begin)
+        for fit, begin, end in zip(fits, ends[:-1], ends[1:], strict=True)
+    ]
+    samples = draw_lives_km(join(states), draw, (lower, upper), km.size + NOISE_TRIPS, rng)
+    share = np.array([weight.sum() for weight in weights])
+    model = MODELS[0 if share[0] >= 0.5 else 1 + int(share[1:].argmax())]
+    return Life(model, rng.permutation(samples))
 
 
 def _checked_series(
@@ -211,10 +168,8 @@ def _checked_series(
     if km.ndim != 1 or value.shape != km.shape or half.shape != km.shape:
         shapes = ", ".join(f"{k} {np.shape(v)}" for k, v in columns.items())
         raise ValueError(f"arrays must have one and the same length, got {shapes}")
-    if not np.isfinite(km).all():
-        raise ValueError("`mileage_km` must be finite numbers")
-    if (np.diff(km) < 0).any():
-        raise ValueError("`mileage_km` must be ascending: sort the trips by mileage")
+    if not np.isfinite(km).all() or (np.diff(km) < 0).any():
+        raise ValueError("`mileage_km` must be finite and ascending: sort the trips by mileage")
     if np.isinf(value).any() or (value <= 0).any():
         raise ValueError("`values` must be above 0 and finite, or NaN where there is no estimate")
     if np.isinf(half).any() or (half < 0).any():
@@ -228,11 +183,101 @@ def _checked_series(
     return km[kept], value[kept], half[kept]
 
 
-def _checked_limits(limits_pair: tuple[float, float]) -> tuple[float, float]:
-    pair = tuple(limits_pair)
-    if len(pair) != 2:
-        raise ValueError(f"`limits_pair` must be two numbers, lower and upper, got {pair}")
-    check_number("limits_pair[0]", pair[0], low=0, below=1)
-    if pair[1] != np.inf:
-        check_number("limits_pair[1]", pair[1], above=1)
-    return float(pair[0]), float(pair[1])
+def draw_lives_km(
+    state: NodeStates,
+    draw: IntArray,
+    limits: tuple[float, float],
+    freedom: float,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return samples [km] of the remaining life, inf beyond ``HORIZON_KM``.
+
+    `draw`, (n_samples,), are nodes of the state; `limits` are relative to healthy, with lower 0 or
+    upper infinity for no limit; `freedom` is the number of degrees of freedom of the noise. The
+    passages of the two limits are sampled independently given rate and present value, which is
+    exact except for paths that would pass both.
+    """
+    row = state.row[draw]
+    values, vectors = np.linalg.eigh(state.covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0))[:, None, :]
+    wide = np.sqrt(freedom / rng.chisquare(freedom, (row.size, 1)))
+    off = wide * (root[draw] @ rng.normal(size=(row.size, 3, 1)))[..., 0]
+    now, rate, change = (state.mean[draw] + off).T
+    rate = np.where(row == STEP, 0.0, rate)  # after a step nothing goes on
+    low, high = limits[0] - 1 if limits[0] else -np.inf, limits[1] - 1
+    is_log = (row == EXPONENTIAL) & (limits[0] > 0)
+    lower = np.where(is_log, np.log(limits[0] or 1.0), low)
+    upper = np.where(row == EXPONENTIAL, np.log(limits[1]), high)
+    wiener = (row >= FIRST_WIENER) & (row < FIRST_CHANGING)
+    diffusion = np.where(wiener, DIFFUSIONS[np.where(wiener, row - FIRST_WIENER, 0)] ** 2, 0.0)
+    samples = np.minimum(
+        first_passage_km(now - lower, -rate, diffusion, rng),
+        first_passage_km(upper - now, rate, diffusion, rng),
+    )
+    changing = np.flatnonzero(row >= FIRST_CHANGING)
+    if changing.size:
+        spread = RATE_CHANGES[row[changing] - FIRST_CHANGING]
+        since, power = (x[draw[changing], None] for x in (state.since, state.power))
+        ahead = powered(since + FUTURE, power) - powered(since, power)
+        mean = now[changing, None] + rate[changing, None] * ahead + change[changing, None] * FUTURE
+        samples[changing] = changing_passage_km(mean, low, high, spread, rng)
+    return np.where(samples > HORIZON_KM, np.inf, samples)
+
+
+def first_passage_km(
+    distance: FloatArray, rate: FloatArray, diffusion: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """Return samples [km] of the mileage until a Wiener process with drift first passes a limit.
+
+    With `distance` d, `rate` v and variance q = `diffusion` per mileage, the distribution for a
+    drift towards the limit is inverse Gaussian with mean d / v and shape d^2 / q [1]_; for a drift
+    away from it, it is that of |v| with probability exp(-2 |v| d / q) and infinite otherwise.
+    Without diffusion the mileage is d / v.
+
+    `distance` [-], `rate` and `diffusion` [1 / UNIT_KM]: (n_samples,). A distance <= 0 gives 0; it
+    may be infinite.
+
+    References
+    ----------
+    .. [1] Chhikara, Folks, The Inverse Gaussian Distribution, Marcel Dekker, 1989; drawn as by
+       Michael, Schucany, Haas, The American Statistician 30 (1976) 88-90.
+    """
+    y, u, away = rng.normal(size=rate.size) ** 2, rng.random(rate.size), rng.random(rate.size)
+    reachable = (distance > 0) & (distance < np.inf)
+    d, v = np.where(reachable, distance, 1.0), np.maximum(np.abs(rate), 1e-12)
+    q = np.where(diffusion > 0, diffusion, 1.0)
+    mean = d / v
+    half = 0.5 * y * q / (v * d)
+    # the smaller root, without the cancellation that gives negative samples of numpy's `wald` < 2.4
+    smaller = mean / (1 + half + np.sqrt(half * (half + 2)))
+    random = np.where(u <= mean / (mean + smaller), smaller, mean * (mean / smaller))
+    reached = np.where(rate > 0, 1.0, np.where(diffusion > 0, np.exp(-2 * v * d / q), 0.0)) > away
+    passage = np.where(reached, np.where(diffusion > 0, random, mean), np.inf)
+    return UNIT_KM * np.where(distance <= 0, 0.0, np.where(reachable, passage, np.inf))
+
+
+def changing_passage_km(
+    mean: FloatArray, lower: float, upper: float, spread: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """Return samples [km] of the mileage until a value with a Brownian rate passes a limit.
+
+    Paths are exact at ``FUTURE``; the crossing is interpolated linearly. `mean`,
+    (n_samples, n_future), is the mean value at ``FUTURE``, `spread`, (n_samples,), the standard
+    deviation of the change of the rate after ``UNIT_KM``.
+    """
+    dt = np.diff(FUTURE)
+    a, b = rng.normal(size=(2, spread.size, dt.size))
+    rates = np.cumsum(np.sqrt(dt) * a, axis=1)
+    before = rates - np.sqrt(dt) * a
+    # given its ends, the integral of Brownian motion over dt has variance dt^3 / 12
+    motion = np.cumsum((before + rates) / 2 * dt + np.sqrt(dt**3 / 12) * b, axis=1)
+    values = mean + spread[:, None] * np.pad(motion, ((0, 0), (1, 0)))
+    out = (values <= lower) | (values >= upper)
+    index, each = out.argmax(axis=1), np.arange(spread.size)
+    last = np.maximum(index - 1, 0)
+    start, end = values[each, last], values[each, index]
+    limit = np.where(end >= upper, upper, lower)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where(out.any(axis=1) & (index > 0), (limit - start) / (end - start), 0.0)
+    passage = FUTURE[last] + share * (FUTURE[index] - FUTURE[last])
+    return UNIT_KM * np.where(out.any(axis=1), passage, np.inf)

@@ -29,8 +29,7 @@ N_SLOWEST = 2
 MAX_BINS = 32
 """Largest number of frequencies of the Whittle likelihood."""
 QUARTILE = NormalDist().inv_cdf(0.75)
-ROUNDED_QUARTILE = 0.6745
-"""Median magnitude of a standard normal number; lives use the rounded one, so that they stay."""
+"""Median magnitude of a standard normal number."""
 OUTLYING = 6.0
 """Largest deviation of a trip from the median of five, in robust standard deviations."""
 
@@ -166,14 +165,14 @@ def noise_covariance(blocks: Blocks, variance: FloatArray, rho: FloatArray) -> F
     return np.asarray(scaled)
 
 
-def robust_spread(differences: FloatArray, variance: float, quartile: float = QUARTILE) -> float:
+def robust_spread(differences: FloatArray, variance: float) -> float:
     """Return a robust standard deviation of trips from differences between them; NaN if none.
 
     The variance of a difference is `variance` times that of a trip.
     """
     if not len(differences):
         return math.nan
-    return float(np.median(np.abs(differences)) / quartile / math.sqrt(variance))
+    return float(np.median(np.abs(differences)) / QUARTILE / math.sqrt(variance))
 
 
 def clip_outliers(values: FloatArray) -> FloatArray:
@@ -183,5 +182,5 @@ def clip_outliers(values: FloatArray) -> FloatArray:
     middle = np.median(windows, axis=1)
     off = logs - middle
     scale = max(np.median(np.abs(off)), np.median(np.abs(np.diff(logs))), LEAST_NOISE)
-    most = OUTLYING * scale / ROUNDED_QUARTILE
+    most = OUTLYING * scale / QUARTILE
     return np.where(np.abs(off) > most, np.exp(middle + np.clip(off, -most, most)), values)

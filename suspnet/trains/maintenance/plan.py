@@ -2,53 +2,50 @@
 
 A part is due on the last day on which the probability that its limit is passed is at most the
 accepted risk; with an alarm "act" it is due on the first possible day, with a notice at the latest
-after `notice_days`. The first due part of a train sets the day of a visit, and all parts that are
+after ``NOTICE_DAYS``. The first due part of a train sets the day of a visit, and all parts that are
 due within `bundle_days` after it are done at it. A part that is more likely than not to pass its
-limit within `reach_km` after the visit is replaced, any other one is inspected.
+limit within ``REACH_KM`` after the visit is replaced, any other one is inspected.
 """
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 from datetime import date, timedelta
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from suspnet.ground.findings import Finding
-from suspnet.ground.parameters import ESTIMATED, Severity
+from suspnet.ground.findings import Finding, together
+from suspnet.ground.parameters import ESTIMATED, Severity, part_words
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import thousands
 from suspnet.trains.maintenance.life import SHOWN_LEVEL
-from suspnet.trains.maintenance.schedule import (
-    LATER,
-    NOW,
-    SOON,
-    SOON_DAYS,
-    UNKNOWN,
-    WAIT,
-    Job,
-    Part,
-    Plan,
-    Train,
-    Visit,
-)
 from suspnet.trains.maintenance.state import State
 
+URGENCIES = UNKNOWN, NOW, SOON, LATER = "unknown", "now", "soon", "later"
+"""Urgencies of jobs: remaining life unknown, visit on the first possible day, visit to be decided
+on within ``SOON_DAYS``, any other visit."""
+SOON_DAYS = 30
 REPLACE, INSPECT = "replace", "inspect"
+"""What is done with a part."""
 NEVER = np.array([np.inf])
 """Samples of the remaining life of a part whose life is unknown."""
-MOST_DAYS = 36_525.0
-"""Longest horizon, a century, [days]."""
 WINDOW_DAYS = 180
 """Number of latest days whose trips determine the mileage per day of a train; if its newest trip is
 older, its wear and mileage count as unknown."""
 LEAST_DAYS = 14
 """Fewest days that the trips must span to determine the mileage per day of a train."""
+REACH_KM = 50_000.0
+"""Mileage after a visit within which a part that is likely to pass its limit is replaced."""
+NOTICE_DAYS = 90.0
+"""Days within which a notice is inspected if no limit is predicted to be passed."""
+MOST_NAMED = 3
+"""Largest number of trains that a sentence names."""
 
 
 @dataclass(frozen=True)
@@ -61,13 +58,6 @@ class PlanSettings:
     bundle_days: float = setting(
         90.0, "Days by which a job comes earlier to share the visit of another one", "days", low=0
     )
-    reach_km: float = setting(
-        50_000.0,
-        "Mileage after a visit within which a part must be likely to pass its limit to be replaced "
-        "and not inspected",
-        "km",
-        low=0,
-    )
     lead_days: float = setting(
         14.0, "Days from today until the first possible visit", "days", low=0
     )
@@ -75,14 +65,8 @@ class PlanSettings:
         730.0,
         "Days from today until the last date that is planned",
         above=0,
-        high=MOST_DAYS,
+        high=36_525.0,
         rule="days; above lead_days, at most 36525",
-    )
-    notice_days: float = setting(
-        90.0,
-        "Days within which a notice is inspected if no limit is predicted to be passed",
-        "days",
-        low=0,
     )
     km_per_day: float = setting(
         500.0, "Daily mileage of trains whose trips do not determine it", "km", above=0
@@ -97,54 +81,252 @@ class PlanSettings:
             )
 
 
+@dataclass(frozen=True)
+class Train:
+    """Mileage of a train on a day, [km], and per day.
+
+    `is_assumed`: `km_per_day` is that of the settings, as the trips do not determine it.
+    """
+
+    name: str
+    mileage_km: float
+    on: date
+    km_per_day: float
+    is_assumed: bool = False
+
+    def mileage_at(self, day: date) -> float:
+        """Return the mileage expected on a day, [km]."""
+        return self.mileage_km + self.km_per_day * (day - self.on).days
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One parameter of one suspension, and its remaining life.
+
+    `samples_km`, (n_samples,), are equally likely mileages from the last trip, at `mileage_km`,
+    until a limit is passed, as in ``Life.samples_km``; inf: never, 0: already passed. `severity` is
+    that of its alarm. `unknown` is why its remaining life is unknown or unreliable; empty if it is
+    known.
+    """
+
+    train: str
+    suspension: str
+    parameter: str
+    samples_km: FloatArray
+    mileage_km: float
+    severity: Severity = Severity.NONE
+    car: str = ""
+    unknown: str = ""
+
+    @property
+    def place(self) -> tuple[str, str, str]:
+        """Train, car and suspension."""
+        return self.train, self.car, self.suspension
+
+    def __str__(self) -> str:
+        """Return train, car, suspension and parameter or part as text."""
+        car = Finding("car", name=self.car) if self.car else ""
+        return together((self.train, car, self.suspension, part_words(self.parameter)), ", ")
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """Work on one part at a visit, or a part of unknown remaining life without one.
+
+    `what` is replace, inspect, or "unknown" without a visit. `probability` is that of passing the
+    limit before the visit; `passing_days` is the interval in which it is passed, in days from
+    today, inf: never. Both are NaN if the remaining life is unknown.
+    """
+
+    part: Part
+    what: str
+    probability: float
+    passing_days: tuple[float, float]
+
+    @property
+    def is_passed(self) -> bool:
+        """Whether the limit has certainly been passed already."""
+        return bool((self.part.samples_km == 0).all()) or self.passing_days == (0.0, 0.0)
+
+    @property
+    def order(self) -> tuple[bool, float, str]:
+        """Key that sorts jobs: unknown parts first, then by probability of failure."""
+        is_known = not self.part.unknown
+        return is_known, -self.probability if is_known else 0.0, str(self.part)
+
+
+@dataclass(frozen=True, eq=False)
+class Visit:
+    """One visit of a train, and its jobs: parts of unknown life first, then the likeliest to fail.
+
+    `day` is the last one on which no part exceeds the accepted risk, `mileage_km` that of the train
+    on it, NaN if its trips are too old to know; `decide_by` is `day` minus the lead time.
+    """
+
+    train: str
+    day: date
+    mileage_km: float
+    decide_by: date
+    urgency: str
+    jobs: tuple[Job, ...]
+
+    def words_of(self, job: Job) -> str:
+        """Return the work of one of its jobs and its day: "replace at the visit of 2026-03-15"."""
+        return Finding("work-at-visit", what=job.what, day=self.day.isoformat())
+
+    def urgency_of(self, job: Job) -> str:
+        """Return the urgency of one of its jobs: "now" or "unknown" if its life is unknown."""
+        return UNKNOWN if job.part.unknown and self.urgency != NOW else self.urgency
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Visits of a fleet until the horizon.
+
+    `visits` are sorted: those for parts of unknown remaining life first, then by day. `unknown` are
+    parts without a visit whose remaining life is unknown; `n_quiet` counts the other parts, which
+    need nothing before the horizon. `level` is the probability of the interval
+    ``Job.passing_days``. The mileage per day of trains in `assumed` is assumed; the newest trip of
+    those in `stale` is too old to plan by, so that the lives of their parts are unknown.
+    """
+
+    today: date
+    horizon: date
+    unknown: tuple[Job, ...]
+    visits: tuple[Visit, ...]
+    n_quiet: int
+    assumed: tuple[Train, ...] = ()
+    stale: tuple[Train, ...] = ()
+    level: float = SHOWN_LEVEL
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return one flat row for each job, unknown parts first, then by visit.
+
+        Dates are in ISO 8601, empty if there is none.
+        """
+        unknown = [self._row(job, None) for job in self.unknown]
+        return unknown + [self._row(job, visit) for visit in self.visits for job in visit.jobs]
+
+    def _row(self, job: Job, visit: Visit | None) -> dict[str, Any]:
+        part, km = job.part, visit.mileage_km if visit else np.nan
+        return {
+            "train": part.train,
+            "car": part.car,
+            "suspension": part.suspension,
+            "parameter": part.parameter,
+            "part": part_words(part.parameter),
+            "what": job.what,
+            "visit": visit.words_of(job) if visit else "",
+            "urgency": visit.urgency_of(job) if visit else UNKNOWN if part.unknown else "",
+            "severity": str(part.severity),
+            "unknown": part.unknown,
+            "passed": job.is_passed,
+            "day": visit.day.isoformat() if visit else "",
+            "decide_by": visit.decide_by.isoformat() if visit else "",
+            "mileage_km": round(km) if math.isfinite(km) else km,
+            "probability": job.probability,
+            "passing_from": self._day_after(job.passing_days[0]),
+            "passing_to": self._day_after(job.passing_days[1]),
+        }
+
+    def _day_after(self, days: float) -> str:
+        """Return the date `days` after today; empty if it is unknown or exceeds ``date.max``."""
+        is_day = days < (date.max - self.today).days
+        return (self.today + timedelta(days=days)).isoformat() if is_day else ""
+
+    @property
+    def summary(self) -> str:
+        """Trips that are too old, numbers of visits and jobs, and assumed mileages."""
+        words = Finding(
+            "plan",
+            visits=Finding("visits", n=len(self.visits)),
+            jobs=Finding("jobs", n=sum(len(visit.jobs) for visit in self.visits)),
+            day=self.horizon,
+            quiet=Finding("need-nothing", n=self.n_quiet),
+        )
+        if self.unknown:
+            words = Finding("plan-unknown", n=len(self.unknown), words=words)
+        sentences = [words]
+        if self.stale:  # with what to do: plan as of the day after the newest trip
+            newest = max(train.on for train in self.stale)
+            names, days = _names(self.stale), thousands((self.today - newest).days)
+            day = str(newest + timedelta(days=1))
+            old = Finding("plan-stale", names=names, days=days, newest=newest, today=day)
+            sentences.insert(0, old)
+        if self.assumed:
+            names, km_per_day = _names(self.assumed), self.assumed[0].km_per_day
+            sentences.append(Finding("plan-assumed", names=names, km_per_day=km_per_day))
+        return together(sentences, " ")
+
+
+def _names(trains: Sequence[Train]) -> str:
+    names = ", ".join(train.name for train in trains[:MOST_NAMED])
+    n_more = len(trains) - MOST_NAMED
+    return Finding("and-more", names=names, n=n_more) if n_more > 0 else names
+
+
+def joined(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return rows of a plan, with unknown parts of a suspension with the same reason merged.
+
+    Each row gets a list of its parameters as "parameters".
+    """
+    merged: dict[tuple[Any, ...], dict[str, Any]] = {}
+    for i, row in enumerate(rows):
+        where = row["train"], row["car"], row["suspension"]
+        alike = (*where, row["unknown"], row["severity"], row["day"]) if row["unknown"] else (i,)
+        merged.setdefault(alike, {**row, "parameters": []})["parameters"].append(row["parameter"])
+    return list(merged.values())
+
+
 def make_plan(
     parts: Sequence[Part], trains: Sequence[Train], settings: PlanSettings, today: date
 ) -> Plan:
     """Return the plan of a fleet's visits, for each train separately.
 
-    `parts` and `trains` are those of the whole fleet, in any order. ValueError is raised if a part
-    occurs twice, or its train is missing or given twice.
+    `parts` and `trains` are those of the whole fleet, in any order. ValueError is raised if the
+    train of a part is missing.
     """
-    # each part once, with its train
     named = {train.name: train for train in trains}
-    if len(named) < len(trains):
-        raise ValueError(f"`trains` must have different names, got {[t.name for t in trains]}")
-    parts_of_train: dict[str, list[Part]] = defaultdict(list)
-    seen: set[tuple[str, ...]] = set()
+    of_train: dict[str, list[Part]] = defaultdict(list)
     for part in parts:
-        key = (*part.place, part.parameter)
-        if key in seen:
-            raise ValueError(f"`parts` must name each part once, got {part} twice")
         if part.train not in named:
             raise ValueError(f"`trains` must hold the train of each part, not that of {part}")
-        seen.add(key)
-        parts_of_train[part.train].append(part)
+        of_train[part.train].append(part)
 
     # trains do not share visits
     visits: list[Visit] = []
-    rest: list[Job] = []
-    for name, own in sorted(parts_of_train.items()):
+    unknown: list[Job] = []
+    n_quiet = 0
+    for name, own in sorted(of_train.items()):
         calendar = _Calendar(named[name], settings, today)
         due = [(calendar.due_day(part), part) for part in map(calendar.as_known, own)]
-        visits += calendar.visits(due)
-        rest += calendar.without_visit(due)
+        rest = [part for days, part in due if days >= settings.horizon_days]
+        unknown += [calendar.job(part, UNKNOWN, 0.0) for part in rest if part.unknown]
+        n_quiet += sum(not part.unknown for part in rest)
+        left = [pair for pair in due if pair[0] < settings.horizon_days]
+        while left:  # ends: the part that is due first is taken off
+            day = min(days for days, _ in left)
+            last = day + settings.bundle_days
+            visits.append(calendar.visit(int(day), [part for days, part in left if days <= last]))
+            left = [pair for pair in left if pair[0] > last]
 
     # what is not known first, then what is soonest or likeliest
-    unknown = sorted((job for job in rest if job.part.unknown), key=lambda job: job.part.place)
-    waiting = sorted((j for j in rest if not j.part.unknown and j.probability), key=_likeliest)
+    unknown.sort(key=lambda job: job.part.place)
     visits.sort(key=lambda visit: (visit.urgency_of(visit.jobs[0]) != UNKNOWN, visit.day))
-    stale = tuple(train for train in trains if train.age_days(today) > WINDOW_DAYS)
+    stale = tuple(train for train in trains if _is_stale(train, today))
     return Plan(
         today,
         today + timedelta(days=settings.horizon_days),
         tuple(unknown),
         tuple(visits),
-        tuple(waiting),
-        len(rest) - len(unknown) - len(waiting),
-        SHOWN_LEVEL,
+        n_quiet,
         tuple(train for train in trains if train.is_assumed and train not in stale),
         stale,
     )
+
+
+def _is_stale(train: Train, today: date) -> bool:
+    return (today - train.on).days > WINDOW_DAYS
 
 
 @dataclass(frozen=True)
@@ -155,59 +337,33 @@ class _Calendar:
     settings: PlanSettings
     today: date
 
-    @property
-    def is_stale(self) -> bool:
-        return self.train.age_days(self.today) > WINDOW_DAYS
-
-    @property
-    def first_day(self) -> int:
-        return math.ceil(self.settings.lead_days)
-
-    def visits(self, due: Sequence[tuple[float, Part]]) -> list[Visit]:
-        """Return the visits of all parts that are due before the horizon, by day."""
-        left = [pair for pair in due if pair[0] < self.settings.horizon_days]
-        visits = []
-        while left:  # ends: the part that is due first is taken off
-            day = min(days for days, _ in left)
-            last = day + self.settings.bundle_days
-            visits.append(self._visit(int(day), [part for days, part in left if days <= last]))
-            left = [pair for pair in left if pair[0] > last]
-        return visits
-
-    def without_visit(self, due: Sequence[tuple[float, Part]]) -> list[Job]:
-        """Return the other parts, with the probability that their limit is passed until then."""
-        horizon = self.settings.horizon_days
-        return [
-            self._job(part, UNKNOWN if part.unknown else WAIT, horizon)
-            for days, part in due
-            if days >= horizon
-        ]
-
     def as_known(self, part: Part) -> Part:
         """Return the part as far as it is known: not its life if the newest trip is too old."""
-        if not self.is_stale:
+        if not _is_stale(self.train, self.today):
             return part
-        why = Finding("newest-trip-old", days=thousands(self.train.age_days(self.today)))
-        return replace(part, samples_km=NEVER, unknown=why)
+        days = thousands((self.today - self.train.on).days)
+        return replace(part, samples_km=NEVER, unknown=Finding("newest-trip-old", days=days))
 
     def due_day(self, part: Part) -> float:
         """Return the last day for a visit of a part, inf if it needs none."""
+        first_day = math.ceil(self.settings.lead_days)
         if part.severity == Severity.ACT:
-            return self.first_day
+            return first_day
         samples = np.sort(self._to_go(part))
         last_km = samples[int(self.settings.risk * samples.size)]
         # a day earlier than that on which the risk would be exceeded
         days = np.ceil(last_km / self.train.km_per_day) - 1
         if part.severity == Severity.NOTICE and days >= self.settings.horizon_days:
-            days = math.floor(self.settings.notice_days)
-        return float(max(days, self.first_day))
+            days = NOTICE_DAYS
+        return float(max(days, first_day))
 
     def _to_go(self, part: Part) -> FloatArray:
         """Return the samples of a part as mileages from today, [km]."""
         run = self.train.mileage_at(self.today) - part.mileage_km
         return np.clip(part.samples_km - run, 0, None)
 
-    def _job(self, part: Part, what: str, day: float) -> Job:
+    def job(self, part: Part, what: str, day: float) -> Job:
+        """Return the job on a part until a day."""
         if part.unknown:
             return Job(part, what, np.nan, (np.nan, np.nan))
         samples, tail = self._to_go(part), (1 - SHOWN_LEVEL) / 2
@@ -215,58 +371,42 @@ class _Calendar:
         probability = float((samples <= self.train.km_per_day * day).mean())
         return Job(part, what, probability, (float(ends[0]), float(ends[1])))
 
-    def _visit(self, days: int, parts: Sequence[Part]) -> Visit:
-        reach_km = self.train.km_per_day * days + self.settings.reach_km
+    def visit(self, days: int, parts: Sequence[Part]) -> Visit:
+        """Return the visit after some days at which these parts are done."""
+        reach_km = self.train.km_per_day * days + REACH_KM
         likely = [(self._to_go(part) <= reach_km).mean() > 0.5 for part in parts]
         works = [REPLACE if is_likely else INSPECT for is_likely in likely]
-        jobs = [self._job(part, work, days) for part, work in zip(parts, works, strict=True)]
+        jobs = [self.job(part, work, days) for part, work in zip(parts, works, strict=True)]
         day = self.today + timedelta(days=days)
         decide_by = day - timedelta(days=self.settings.lead_days)
         is_soon = (decide_by - self.today).days <= SOON_DAYS
         return Visit(
             self.train.name,
             day,
-            np.nan if self.is_stale else self.train.mileage_at(day),
+            np.nan if _is_stale(self.train, self.today) else self.train.mileage_at(day),
             decide_by,
-            NOW if days <= self.first_day else SOON if is_soon else LATER,
-            tuple(sorted(jobs, key=_likeliest)),
+            NOW if days <= math.ceil(self.settings.lead_days) else SOON if is_soon else LATER,
+            tuple(sorted(jobs, key=lambda job: job.order)),
         )
 
 
-def _likeliest(job: Job) -> tuple[bool, float, str]:
-    """Return the key that sorts jobs: unknown parts first, then by probability of failure."""
-    probability = 0.0 if job.part.unknown else -job.probability
-    return not job.part.unknown, probability, str(job.part)
-
-
 def plan_of(states: Sequence[State], settings: PlanSettings, today: date) -> Plan:
-    """Return the plan of a fleet from the states of its suspensions."""
-    return make_plan(
-        parts_of(states), trains_of(states, today, settings.km_per_day), settings, today
-    )
+    """Return the plan of a fleet from the states of its suspensions.
 
-
-def parts_of(states: Sequence[State]) -> list[Part]:
-    """Return a part for each parameter of each suspension that has an alarm or limits."""
+    It has a part for each parameter of each suspension that has an alarm or limits.
+    """
     parts = []
     for state in states:
         train, car, suspension = place_of(state)
         named = {*state.lives, *state.unknown, *(alarm.parameter for alarm in state.alarms)}
         for name in (name for name in ESTIMATED if name in named):
             life = state.lives.get(name)
-            parts.append(
-                Part(
-                    train,
-                    suspension,
-                    name,
-                    life.samples_km if life else NEVER,
-                    float(np.nan_to_num(state.last_km)),  # NaN only if no remaining life is known
-                    state.severities.get(name, Severity.NONE),
-                    car,
-                    state.unknown.get(name, "" if life else "it has no limits"),
-                )
-            )
-    return parts
+            samples_km = life.samples_km if life else NEVER
+            last_km = float(np.nan_to_num(state.last_km))  # NaN only if no remaining life is known
+            severity = state.severities.get(name, Severity.NONE)
+            unknown = state.unknown.get(name, "" if life else "it has no limits")
+            parts.append(Part(train, suspension, name, samples_km, last_km, severity, car, unknown))
+    return make_plan(parts, trains_of(states, today, settings.km_per_day), settings, today)
 
 
 def trains_of(states: Sequence[State], today: date, default_km_per_day: float) -> list[Train]:
@@ -277,7 +417,7 @@ def trains_of(states: Sequence[State], today: date, default_km_per_day: float) -
     """
     of_train = defaultdict(list)
     for state in states:
-        of_train[train_of(state)].append(state.series)
+        of_train[place_of(state)[0]].append(state.series)
     trains = []
     for name, several in sorted(of_train.items()):
         km = np.concatenate([series.mileage_km for series in several])
@@ -295,23 +435,17 @@ def trains_of(states: Sequence[State], today: date, default_km_per_day: float) -
     return trains
 
 
-def train_of(state: State) -> str:
-    """Return the name of a suspension's train, or where that is not named, its vehicle and place.
-
-    That place has no bogie and side: both bogies of a car are in one train.
-    """
-    place = state.series.place
-    if place.train:
-        return place.train
-    car = replace(place, bogie="", side="")
-    return f"{state.series.vehicle}: {car}" if any(astuple(car)) else state.series.vehicle
-
-
 def place_of(state: State) -> tuple[str, str, str]:
-    """Return train, car and suspension, as ``Part.place``."""
-    place = state.series.place
+    """Return train, car and suspension, as ``Part.place``.
+
+    A train that is not named is the vehicle and the place without bogie and side: both bogies of a
+    car are in one train.
+    """
+    place, vehicle = state.series.place, state.series.vehicle
+    car = replace(place, bogie="", side="")
+    train = place.train or (f"{vehicle}: {car}" if any(astuple(car)) else vehicle)
     where = (place.suspension, place.bogie and f"{place.bogie} bogie", place.side)
-    return train_of(state), place.car, ", ".join(filter(None, where)) or state.series.vehicle
+    return train, place.car, ", ".join(filter(None, where)) or vehicle
 
 
 def km_per_day(starts: NDArray[np.datetime64], mileages_km: FloatArray, default: float) -> float:
@@ -320,11 +454,6 @@ def km_per_day(starts: NDArray[np.datetime64], mileages_km: FloatArray, default:
     `starts` (NaT: unknown) and `mileages_km` (NaN: unknown): (n_trips,). `default` is returned if
     these trips span less than ``LEAST_DAYS`` or their mileage does not rise.
     """
-    if mileages_km.shape != starts.shape:
-        raise ValueError(
-            f"`mileages_km` must be one for each of {len(starts)} starts, "
-            f"got shape {mileages_km.shape}"
-        )
     is_known = ~np.isnat(starts) & np.isfinite(mileages_km)
     days, mileages = starts[is_known].astype("datetime64[D]").astype(float), mileages_km[is_known]
     if not days.size:

@@ -2,29 +2,14 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from suspnet.ground.parameters import BODY_MASS
-from suspnet.ground.records import OK, SENSOR, Commissioning, TripResult, by_mileage
+from suspnet.ground.records import OK, Commissioning, TripResult, by_mileage
 from suspnet.ground.types import FloatArray
-from suspnet.trains.maintenance.series import Event, Series, series_of
-
-
-def between(events: Sequence[Event], results: Sequence[TripResult]) -> list[list[TripResult]]:
-    """Return the trips before, between and after maintenance; those without a mileage are after.
-
-    The n_events + 1 lists are in the order of the mileage; some may be empty.
-    """
-    ends = sorted(event.mileage_km for event in events if event.kind != SENSOR)
-    groups: list[list[TripResult]] = [[] for _ in range(len(ends) + 1)]
-    for result in results:
-        is_after = np.isnan(result.mileage_km)
-        groups[len(ends) if is_after else bisect_right(ends, result.mileage_km)].append(result)
-    return groups
+from suspnet.trains.maintenance.series import Event, series_of
 
 
 def first_trips(results: Iterable[TripResult], n_first: int) -> list[TripResult]:
@@ -49,16 +34,18 @@ def relative_results(
     # nothing depends on starts, and those of a store may be unreadable
     series = series_of([replace(result, start="") for result in results], events)
     order = np.lexsort(([r.trip for r in results], [r.mileage_km for r in results]))
-    truth = _relative_truth([results[i].truth for i in order], series, n_first)
+    truths = {
+        name: np.array([results[i].truth.get(name, np.nan) for i in order])
+        for name in series.estimates
+    }
     relative = series.relative_to_first(n_first)
+    truth = replace(series, estimates=truths).relative_to_first(n_first).estimates
 
     def of_trip(
         row: int, values: Mapping[str, float], columns: Mapping[str, FloatArray]
     ) -> dict[str, float]:
-        return {
-            name: float(columns[name][row]) if name in columns else value
-            for name, value in values.items()
-        }
+        own = {name: float(columns[name][row]) for name in values if name in columns}
+        return {**values, **own}
 
     return [
         replace(
@@ -69,20 +56,6 @@ def relative_results(
         )
         for row, result in zip(np.argsort(order), results, strict=True)
     ]
-
-
-def _relative_truth(
-    truths: Sequence[Mapping[str, float]], series: Series, n_first: int | None
-) -> dict[str, FloatArray]:
-    """Return the true values of trips over the median ones of the trips that define healthy."""
-    columns = {}
-    for name in series.estimates if n_first else ():
-        columns[name] = np.array([truth.get(name, np.nan) for truth in truths])
-        for trips, first in series.first_of_each(name, n_first or 0):
-            healthy = columns[name][first][[name in truths[i] for i in first]]
-            if name != BODY_MASS and len(healthy):
-                columns[name][trips] /= np.median(healthy)
-    return columns
 
 
 def medians(values: Sequence[Mapping[str, float]], names: Iterable[str]) -> dict[str, float]:

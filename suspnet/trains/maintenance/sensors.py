@@ -8,7 +8,7 @@ several trips in a row. What all sensors share is the track: it is subtracted.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -87,7 +87,11 @@ def sensor_trends(
     trips = [sensors_from_text(text) for text in texts]
     names = list(dict.fromkeys(name for trip in trips for name in trip))
     since = {name: _eras(name, names, mileage_km, replaced) for name in names}
-    values = {name: _columns(trips, name) for name in names}
+    health = {name: [trip.get(name, SensorHealth()) for trip in trips] for name in names}
+    values = {
+        name: {n: np.array([getattr(one, n) for one in own], dtype=float) for n in (*LEAST, "tilt")}
+        for name, own in health.items()
+    }
     # each number against the sensor's own first trips
     changes: dict[str, Numbers] = {name: {} for name in names}
     for name in names:
@@ -107,14 +111,6 @@ def sensor_trends(
             for number in MISLEADING:
                 changes[name][number] = np.where(noisy, np.nan, changes[name][number])
     return [_trend(name, values[name], changes[name], since[name], groups) for name in names]
-
-
-def _columns(trips: Sequence[Mapping[str, SensorHealth]], name: str) -> Numbers:
-    health = [trip.get(name, SensorHealth()) for trip in trips]
-    return {
-        number: np.array([getattr(trip, number) for trip in health], dtype=float)
-        for number in (*LEAST, "tilt")
-    }
 
 
 def _eras(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -28,7 +28,6 @@ from suspnet.trains.maintenance.sensors import LEAST, SensorTrend, sensor_trends
 
 NUMBERS = ("mileage_km", "healthy_since_km", "speed_m_per_s", "temperature_c", "direction")
 """Numeric columns of a series, in addition to those of each parameter."""
-TEXTS = ("trip", "sensors", "worn")
 N_LAST = 5
 """Number of the newest trips with an estimate that decide on a parameter."""
 
@@ -178,12 +177,6 @@ class Series:
         ends = np.searchsorted(self.mileage_km[np.isfinite(self.mileage_km)], self.repairs)
         return np.split(np.arange(len(self.trip)), ends)
 
-    def first_of_each(self, name: str, n_first: int) -> list[tuple[IntArray, IntArray]]:
-        """Return the trips between maintenances, each with their first ones with an estimate."""
-        done = np.isfinite(self.estimates[name])
-        pairs = ((trips, trips[done[trips]][:n_first]) for trips in self.between)
-        return [(trips, first) for trips, first in pairs if len(first)]
-
     def relative_to_first(self, n_first: int | None) -> Series:
         """Return k and c relative to the median of the first trips after each maintenance.
 
@@ -200,10 +193,13 @@ class Series:
             for columns in (self.estimates, self.half_widths)
         )
         for name in set(estimates) - {BODY_MASS}:
-            for trips, first in self.first_of_each(name, n_first):
-                estimates[name][trips] /= np.median(estimates[name][first])
-                own = half_widths[name]
-                own[trips] = np.hypot(own[trips], half_width_of_median(own[first]))
+            values, widths = estimates[name], half_widths[name]
+            for trips in self.between:  # each maintenance gives a new reference
+                first = trips[np.isfinite(values[trips])][:n_first]
+                if len(first):
+                    of_median = np.sqrt(np.pi / 2 / len(first)) * np.median(widths[first])
+                    widths[trips] = np.hypot(widths[trips], np.nan_to_num(of_median))
+                    values[trips] /= np.median(values[first])
         return replace(self, estimates=estimates, half_widths=half_widths, n_first=n_first)
 
     def widened(self) -> Series:
@@ -235,18 +231,15 @@ class Series:
 
     def equals(self, other: Series) -> bool:
         """Return whether all fields are equal, with NaN equal to NaN."""
-        mine, its = self._columns(), other._columns()
-        return (
-            (self.key, self.events, self.n_first) == (other.key, other.events, other.n_first)
-            and mine.keys() == its.keys()
-            and all(getattr(self, name).tolist() == getattr(other, name).tolist() for name in TEXTS)
-            and all(np.array_equal(mine[name], its[name], equal_nan=True) for name in mine)
-        )
+        return all(_same(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
 
-    def _columns(self) -> dict[str, NDArray[Any]]:
-        columns = {name: getattr(self, name) for name in ("start", "flagged", *NUMBERS)}
-        widths = {f"{name}_half_width": column for name, column in self.half_widths.items()}
-        return columns | self.estimates | widths
+
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
+    if isinstance(one, np.ndarray):
+        return np.array_equal(one, other, equal_nan=one.dtype.kind in "fM")
+    return bool(one == other)
 
 
 def car_of(series: Series) -> tuple[str, ...]:
@@ -339,9 +332,3 @@ def series_of(results: Sequence[TripResult], events: Iterable[Event] = ()) -> Se
         temperature_c=[r.temperature_c for r in results],
         direction=[SIGNS.get(r.quality.direction, np.nan) for r in results],
     ).widened()
-
-
-def half_width_of_median(half_widths: ArrayLike) -> float:
-    """Return the half-width of the median of trips from their own; 0 if one is unknown."""
-    widths = np.asarray(half_widths, dtype=float)
-    return float(np.nan_to_num(np.sqrt(np.pi / 2 / len(widths)) * np.median(widths)))

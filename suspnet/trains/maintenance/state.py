@@ -3,33 +3,34 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping
+import time
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from suspnet.ground.findings import Finding, parts_of, restored
-from suspnet.ground.parameters import BODY_MASS, Limits, Severity, kind_of
+from suspnet.ground.parameters import BODY_MASS, DEFAULT_LIMITS, Limits, Severity, kind_of
 from suspnet.ground.records import Key
 from suspnet.ground.types import FloatArray
-from suspnet.trains.maintenance.alarms import Alarm, Watched
+from suspnet.trains.maintenance.alarms import Alarm, Watched, watch
 from suspnet.trains.maintenance.assessment import (
     ONE_FLAGGED,
     Assessment,
+    Evidence,
     assess,
     joined,
     overall,
-    severity_of,
+    step_words,
+    trend_of,
     worst_first,
 )
-from suspnet.trains.maintenance.degradation import FleetPrior
+from suspnet.trains.maintenance.change import ChangeSettings
 from suspnet.trains.maintenance.judge import LastTrips, judge_last, last_trips
 from suspnet.trains.maintenance.life import MIN_TRIPS, Life, predict_life
 from suspnet.trains.maintenance.sensors import IN_A_ROW
 from suspnet.trains.maintenance.series import N_LAST, Series
-from suspnet.trains.maintenance.trend import LEAST_PERCENT, flagged_trend
 
 UNKNOWN_HEALTHY = "healthy is not known yet"
 """Doubt about limits as long as fewer trips have an estimate than define healthy."""
@@ -43,16 +44,13 @@ class State:
 
     Severities, present values and lives use the trips since the last commissioning and maintenance;
     alarms use those since the last commissioning. A parameter that is missing in `limits` has none.
-    `watched` has the alarms from its trips and, if compared, from its sisters, `lives` the life
-    until the act limit of each parameter with limits and enough trips. `least_percent` is the
-    smallest change of each parameter that counts, [% of healthy]; ``LEAST_PERCENT`` by default.
+    `lives` are those of ``with_lives``; empty until they are predicted.
     """
 
     series: Series
     limits: Mapping[str, Limits] = field(default_factory=dict)
     watched: Watched = field(default_factory=Watched)
     lives: dict[str, Life] = field(default_factory=dict)
-    least_percent: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def key(self) -> Key:
@@ -90,13 +88,7 @@ class State:
     @cached_property
     def severities(self) -> dict[str, Severity]:
         """Severity of each parameter except the car-body mass."""
-        return {
-            name: severity_of(
-                self.last_of(name), self.limits.get(name), self.alarms_of(name), self.doubt
-            )
-            for name in self.outputs
-            if name != BODY_MASS
-        }
+        return {a.parameter: a.severity for a in self.assessments if a.parameter != BODY_MASS}
 
     @cached_property
     def severity(self) -> Severity:
@@ -142,10 +134,7 @@ class State:
         """
         recent, passed = self.recent, self.watched.passed
         reasons = {
-            name: self.unjudged
-            or why_unknown(
-                recent.mileage_km, recent.estimates[name], recent.half_widths[name], recent.flagged
-            )
+            name: self.unjudged or why_unknown(recent, name)
             for name in self.limits
             if name in self.outputs and name not in passed
         }
@@ -206,14 +195,23 @@ class State:
         return max(values, key=lambda value: abs(math.log(value)) if value > 0 else -1.0)
 
     def _assessment(self, name: str) -> Assessment:
-        recent, least = self.recent, self.least_percent.get(name, LEAST_PERCENT)
-        trend = flagged_trend(
-            name, recent.mileage_km, recent.estimates[name], recent.flagged, least
+        trend, lasting = trend_of(self.recent, name), ""
+        if name in self.watched.lasting:
+            lasting = self.watched.lasting[name].words
+        elif name != BODY_MASS and not self.watched.changes.by_parameter:
+            values = self.recent.estimates[name]
+            lasting = step_words(self.recent.mileage_km, values, trend.spread_percent)
+        evidence = Evidence(
+            replace(trend, changed=bool(lasting)),
+            self.last_of(name),
+            self.limits.get(name),
+            self.alarms_of(name),
+            lasting,
+            self.watched.changes,
+            self.doubt,
         )
-        limits, alarms = self.limits.get(name), self.alarms_of(name)
-        assessment = assess(trend, self.last_of(name), limits, alarms, self.doubt)
         life, why = self.lives.get(name), self.unknown.get(name, "")
-        return replace(assessment, now=self.now(name), life=life, unknown_life=why)
+        return replace(assess(evidence), now=self.now(name), life=life, unknown_life=why)
 
 
 def by_urgency(states: Iterable[State]) -> list[State]:
@@ -229,84 +227,121 @@ def by_urgency(states: Iterable[State]) -> list[State]:
 MOST_RATIO = 100.0
 MOST_WIDTH = 1.0
 """Factor from healthy, and half-width in logarithms, beyond which a trip is not used."""
-Trips = tuple[FloatArray, FloatArray, FloatArray]
-"""Mileage [km], estimates and half-widths of the trips from which a life is predicted."""
 
 
-def remaining_lives(
-    mileage_km: ArrayLike,
-    values: Mapping[str, ArrayLike],
-    half_widths: Mapping[str, ArrayLike],
-    flagged: ArrayLike,
-    limits: Mapping[str, Limits],
-    passed: Collection[str] = (),
-    fleet: Mapping[str, FleetPrior] | None = None,
-    seed: int = 0,
-) -> dict[str, Life]:
-    """Return the distribution of the mileage until each parameter passes its act limit.
+def with_lives(state: State, seed: int = 0) -> State:
+    """Return a state with the remaining life of each parameter that has limits and enough trips.
 
-    Parameters without limits, or with fewer than ``MIN_TRIPS`` usable trips, are left out.
-
-    Parameters
-    ----------
-    mileage_km : array of shape (n_trips,), [km]
-        Since the last maintenance, in any order; NaN: not used.
-    values, half_widths : mapping from parameter to array of shape (n_trips,), [-]
-        Relative to healthy, and half-widths of their intervals in logarithms; NaN: none.
-    flagged : bool array of shape (n_trips,)
-        Trips that are not used.
-    limits : mapping from parameter to Limits
-    passed : collection of str
-        Parameters with an alarm of the act limit: their remaining life is 0.
-    fleet : mapping of FleetPrior, optional
-        Prior of each parameter from suspensions of this type (``learn_fleet``).
-    seed : int
+    That of a parameter with an alarm of its act limit is 0.
     """
     lives = {}
-    for name, limit in limits.items():
-        if name not in values:
+    for name, limit in state.limits.items():
+        if name not in state.series.estimates:
             continue
-        trips = trips_of_life(mileage_km, values[name], half_widths[name], flagged)
-        if name in passed:
+        trips = trips_of_life(state.recent, name)
+        if name in state.watched.passed:
             lives[name] = Life("no trend", np.zeros(1))
         elif trips is not None:
-            lives[name] = predict_life(*trips, limit.act, fleet=(fleet or {}).get(name), seed=seed)
-    return lives
+            lives[name] = predict_life(*trips, limit.act, seed=seed)
+    return replace(state, lives=lives)
 
 
-def why_unknown(
-    mileage_km: ArrayLike, values: ArrayLike, half_widths: ArrayLike, flagged: ArrayLike
-) -> str:
+def why_unknown(recent: Series, name: str) -> str:
     """Return why these trips do not determine a remaining life; empty if they do."""
-    if trips_of_life(mileage_km, values, half_widths, flagged) is not None:
+    if trips_of_life(recent, name) is not None:
         return ""
-    done, doubtful = np.isfinite(np.asarray(values, dtype=float)), np.asarray(flagged, dtype=bool)
-    n_done, n_clear = int(done.sum()), int((done & ~doubtful).sum())
-    if not n_done:
+    done, doubtful = np.isfinite(recent.estimates[name]), recent.flagged
+    n_clear = int((done & ~doubtful).sum())
+    if not done.any():
         return "no trip with an estimate"
-    if not n_clear:
-        return "all trips are flagged" if n_done > 1 else ONE_FLAGGED
     if n_clear < MIN_TRIPS:
         kind = "too-few-unflagged" if doubtful.any() else "too-few-of"
         return Finding(kind, n=n_clear, n_needed=MIN_TRIPS)
     return "too few trips with a mileage and an estimate that is certain enough"
 
 
-def trips_of_life(
-    mileage_km: ArrayLike, values: ArrayLike, half_widths: ArrayLike, flagged: ArrayLike
-) -> Trips | None:
-    """Return the trips usable for predicting a life, by mileage; None if there are too few.
+def trips_of_life(recent: Series, name: str) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Return mileage, estimates and half-widths of the trips from which a life is predicted.
 
-    Flagged trips, estimates beyond a factor of ``MOST_RATIO`` and half-widths above ``MOST_WIDTH``
-    are left out.
+    None if there are too few. Flagged trips, estimates beyond a factor of ``MOST_RATIO`` and
+    half-widths above ``MOST_WIDTH`` are left out.
     """
-    km, centre, width = (
-        np.asarray(column, dtype=float) for column in (mileage_km, values, half_widths)
-    )
+    km, centre, width = recent.mileage_km, recent.estimates[name], recent.half_widths[name]
     with np.errstate(divide="ignore", invalid="ignore"):
         is_certain = (np.abs(np.log(centre)) <= np.log(MOST_RATIO)) & ~(width > MOST_WIDTH)
-    used = np.isfinite(km) & is_certain & ~np.asarray(flagged, dtype=bool)
-    order = np.flatnonzero(used)[np.argsort(km[used], kind="stable")]
-    if len(order) < MIN_TRIPS or km[order[-1]] <= km[order[0]]:
+    used = np.flatnonzero(np.isfinite(km) & is_certain & ~recent.flagged)
+    if len(used) < MIN_TRIPS or km[used[-1]] <= km[used[0]]:
         return None
-    return km[order], centre[order], np.where(np.isfinite(width), width, np.nan)[order]
+    return km[used], centre[used], np.where(np.isfinite(width), width, np.nan)[used]
+
+
+class FleetStates:
+    """Alarms and remaining lives of the suspensions of a fleet, each by its own trips.
+
+    `limits` maps vehicles to the limits of their parameters; a missing vehicle has
+    ``DEFAULT_LIMITS``. `seed` is that of the predicted lives.
+    """
+
+    def __init__(
+        self, limits: Mapping[str, Mapping[str, Limits]], changes: ChangeSettings, seed: int = 0
+    ) -> None:
+        self.limits = limits
+        self.changes = changes
+        self.seed = seed
+        self._states: dict[Key, State] = {}
+        self._waiting: set[Key] = set()
+
+    def keys(self) -> set[Key]:
+        """Return vehicle and place of each suspension."""
+        return set(self._states)
+
+    def update(self, several: Iterable[Series], gone: Collection[Key] = ()) -> set[Key]:
+        """Add or replace suspensions, remove those in `gone`, and recompute alarms.
+
+        Returns the keys of the suspensions whose alarms were recomputed, which are those whose
+        trips or maintenance changed.
+        """
+        for key in gone:
+            self._states.pop(key, None)
+            self._waiting.discard(key)
+        changed = set()
+        for series in several:
+            before = self._states.get(series.key)
+            if before is None or not before.series.equals(series):
+                limits = self.limits.get(series.vehicle, DEFAULT_LIMITS)
+                watched = watch(series, limits, self.changes)
+                self._states[series.key] = State(series, limits, watched)
+                changed.add(series.key)
+        self._waiting |= changed
+        return changed
+
+    def predict(self, seconds: float = np.inf) -> bool:
+        """Predict the remaining lives that are out of date.
+
+        It stops after `seconds` [s] and continues when called again. Returns whether all are up to
+        date.
+        """
+        end = time.monotonic() + seconds
+        for key in sorted(self._waiting, key=lambda key: (key[0], str(key[1]))):
+            self._states[key] = with_lives(self._states[key], self.seed)
+            self._waiting.discard(key)
+            if time.monotonic() > end:
+                break
+        return not self._waiting
+
+    def states(self) -> list[State]:
+        """Return the state of each suspension, by severity, then by remaining life."""
+        return by_urgency(self._states.values())
+
+
+def fleet_state(
+    several: Sequence[Series],
+    limits: Mapping[str, Mapping[str, Limits]],
+    settings: ChangeSettings,
+    seed: int = 0,
+) -> list[State]:
+    """Return the state of each suspension, most severe first; see ``FleetStates``."""
+    fleet = FleetStates(limits, settings, seed)
+    fleet.update(several)
+    fleet.predict()
+    return fleet.states()

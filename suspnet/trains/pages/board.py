@@ -12,16 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from suspnet.ground.findings import Finding
-from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Limits, read_limits
+from suspnet.ground.parameters import DEFAULT_LIMITS, Limits, read_limits
 from suspnet.ground.records import Key
 from suspnet.trains.history import History, HistoryError
-from suspnet.trains.maintenance.alarms import Alarm, Watched
+from suspnet.trains.maintenance.alarms import Watched
 from suspnet.trains.maintenance.change import ChangeSettings
-from suspnet.trains.maintenance.fleet import FleetStates
-from suspnet.trains.maintenance.plan import PlanSettings, plan_of
-from suspnet.trains.maintenance.schedule import Plan
-from suspnet.trains.maintenance.sisters import SisterSettings
-from suspnet.trains.maintenance.state import State, by_urgency
+from suspnet.trains.maintenance.plan import Plan, PlanSettings, plan_of
+from suspnet.trains.maintenance.state import FleetStates, State, by_urgency
 from suspnet.trains.pages.overview import FleetView, fleet_view
 
 log = logging.getLogger(__name__)
@@ -44,7 +41,6 @@ class BoardSettings:
     vehicles: Mapping[str, Mapping[str, Limits]] = field(default_factory=dict)
     limits: Mapping[str, Any] | None = None
     changes: ChangeSettings = field(default_factory=ChangeSettings)
-    sisters: SisterSettings = field(default_factory=SisterSettings)
     plan: PlanSettings = field(default_factory=PlanSettings)
     n_first: int | None = None
     today: str | None = None
@@ -70,15 +66,9 @@ class BoardSettings:
 class Board:
     """The current state of a fleet, updated from a history.
 
-    Only suspensions whose revision in the store changed are read and recomputed, and compared with
-    their sisters. The rates of wear of a fleet, and with them the lives of all its suspensions, are
-    learnt again as ``FleetStates`` says. A long refresh shows partial results every ``SHOWN_S``:
-    first the suspensions with the alarms in the store.
-
-    Sister alarms are written to the store, as no other program finds them while trips are
-    monitored; alarms of limits and changes are stored by the evaluation of the trips. They are
-    written only if they differ from those this board found last, so that boards of different
-    settings do not trigger each other for ever.
+    Only suspensions whose revision in the store changed are read and recomputed. A long refresh
+    shows partial results every ``SHOWN_S``: first the suspensions with the alarms in the store.
+    Nothing is written: alarms are stored by the evaluation of the trips.
 
     `store` is the file or URL of the history; a file may be created later.
     """
@@ -87,18 +77,15 @@ class Board:
         self.store = store
         self.settings = settings
         self._limits: dict[str, Mapping[str, Limits]] = {}
-        self._fleet = FleetStates(self._limits, settings.changes, settings.sisters, settings.seed)
+        self._fleet = FleetStates(self._limits, settings.changes, settings.seed)
         self._view = FleetView()
         self._revisions: dict[Key, int] = {}
         self._early: dict[Key, State] = {}
-        self._unstored: set[Key] = set()
-        self._stored: dict[Key, list[Alarm]] = {}
         self._plan: Plan | None = None
         self._day = settings.day()
         self._is_due = True
         self._file: tuple[int, int] | None = None
         self._is_doubted = False
-        self._store_fault = ""
         self._shown_at = 0.0
         self._lock = threading.Lock()
 
@@ -140,7 +127,6 @@ class Board:
             self._read(history, revisions, changed)
         self._file, self._is_doubted = file, False
         if self._is_due:
-            # lives of the whole fleet, as its rates of wear may have changed
             while not self._fleet.predict(SHOWN_S):
                 self._show(history, is_complete=False)
             self._plan = plan_of(self._fleet.states(), self.settings.plan, day)
@@ -153,11 +139,9 @@ class Board:
             or {*history.bad_rows} != {*self._view.bad_rows}
         ):
             self._show(history, is_complete=True)
-        if self._unstored:
-            self._store_alarms(history)
 
     def _read(self, history: History, revisions: dict[Key, int], changed: list[Key]) -> None:
-        changed.sort(key=lambda key: (key[0], str(key[1])))  # suspensions of one car together
+        changed.sort(key=lambda key: (key[0], str(key[1])))
         series = [  # in parts: an SQLite file cannot be written while it is read
             own.relative_to_first(self.settings.n_first)
             for begin in range(0, len(changed), READ_AT_ONCE)
@@ -181,19 +165,13 @@ class Board:
         gone = self._fleet.keys() - revisions.keys()
         gone |= set(changed) - {own.key for own in series}
         self._is_due |= bool(gone)
-        self._note(self._fleet.update([], gone))
-        self._unstored -= gone
-        self._stored = {key: alarms for key, alarms in self._stored.items() if key not in gone}
+        self._fleet.update([], gone)
         # recompute the others in parts, and show partial results of a long refresh
         for begin in range(0, len(series), AT_ONCE):
-            self._note(self._fleet.update(series[begin : begin + AT_ONCE]))
+            self._is_due |= bool(self._fleet.update(series[begin : begin + AT_ONCE]))
             if time.monotonic() - self._shown_at > SHOWN_S:
                 self._show(history, is_complete=False)
         self._revisions = revisions
-
-    def _note(self, keys: set[Key]) -> None:
-        self._is_due |= bool(keys)
-        self._unstored |= keys
 
     def _show(self, history: History, *, is_complete: bool) -> None:
         states = self._fleet.states()
@@ -209,21 +187,6 @@ class Board:
             bad_rows=history.bad_rows,
         )
         self._shown_at = time.monotonic()
-
-    def _store_alarms(self, history: History) -> None:
-        """Store sister alarms that differ from those found last."""
-        alarms = {key: self._fleet.of_sisters(key) for key in self._unstored}
-        other = {key: own for key, own in alarms.items() if self._stored.get(key) != own}
-        try:
-            history.keep_all_alarms(other, [Cause.SISTER])
-        except HistoryError as error:  # it may be locked or read-only: try at the next refresh
-            if str(error) != self._store_fault:
-                log.warning("alarms of sisters are not stored: %s", error)
-            self._store_fault = str(error)
-            return
-        self._stored |= other
-        self._unstored.clear()
-        self._store_fault = ""
 
 
 def file_number(store: str) -> tuple[int, int] | None:

@@ -13,8 +13,7 @@ from suspnet.ground.findings import Finding, parts_of, together
 from suspnet.ground.parameters import BOGIE_PARTS, SIDES, Severity, part_words
 from suspnet.ground.records import TripResult
 from suspnet.trains.maintenance.judge import ABSURD
-from suspnet.trains.maintenance.plan import place_of
-from suspnet.trains.maintenance.schedule import Plan
+from suspnet.trains.maintenance.plan import Plan, place_of
 from suspnet.trains.maintenance.state import State
 from suspnet.trains.pages.overview import REPORT, Evaluated, FleetView
 from suspnet.trains.pages.tables import interval_digits

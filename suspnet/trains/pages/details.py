@@ -21,9 +21,6 @@ from suspnet.trains.maintenance.state import UNKNOWN_HEALTHY
 from suspnet.trains.pages.tables import files_read_as
 from suspnet.trains.trips.commissionings import eras, speed_words
 
-ALONE = "by this suspension alone, as no other of its vehicle shows how fast such parts wear"
-NO_STORE = "with those of a history (store=) the plan of a fleet may give others"
-
 
 def report_details(
     folder: Path,
@@ -112,12 +109,3 @@ def _interval_words(model: Model, level: float) -> str:
     if model.intervals is None:
         return "none: the model was trained with data.n_calibrate=null"
     return Finding("calibrated", level=100 * level, n_scores=len(model.intervals.conformal.scores))
-
-
-def wear_words(n_learnt: int, is_history: bool) -> str:
-    """Return whose rates of wear predict the lives; with 0 suspensions only its own."""
-    words: str = ALONE
-    if n_learnt:
-        where = "the history" if is_history else "this folder"
-        words = Finding("wear-of-suspensions", n=n_learnt, where=where)
-    return words if is_history else together((words, NO_STORE))

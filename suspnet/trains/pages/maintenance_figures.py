@@ -18,7 +18,7 @@ from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, Severity
 from suspnet.runs.figures import MILEAGE_LABEL, SYMBOLS, say
 from suspnet.runs.language import ENGLISH, current
-from suspnet.trains.maintenance.schedule import UNKNOWN, URGENCIES, Job, Plan, Visit
+from suspnet.trains.maintenance.plan import UNKNOWN, URGENCIES, Job, Plan, Visit
 from suspnet.trains.pages.trend import (
     BEYOND,
     FLAGGED,
@@ -68,7 +68,7 @@ def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
     for visit in plan.visits:
         visits[visit.train].append(visit)
         jobs[visit.train] += visit.jobs
-    for job in (*plan.unknown, *plan.waiting):
+    for job in plan.unknown:
         jobs[job.part.train].append(job)
     # the most urgent trains on top, as only the first of many are shown
     names = sorted(jobs, key=lambda name: _urgency(visits[name], jobs[name], name))

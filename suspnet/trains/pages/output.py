@@ -27,8 +27,8 @@ from suspnet.runs.tensorboard import RunLog
 from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.trains.maintenance.assessment import overall, spoken
 from suspnet.trains.maintenance.life import Life
+from suspnet.trains.maintenance.plan import Plan, joined
 from suspnet.trains.maintenance.relative import relative_to_first_healthy
-from suspnet.trains.maintenance.schedule import Plan, joined
 from suspnet.trains.pages import trip_figures
 from suspnet.trains.pages.bogie import bogies_of, bogies_shown
 from suspnet.trains.pages.failing_sensors import LISTED, failing_sensors

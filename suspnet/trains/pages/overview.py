@@ -16,7 +16,7 @@ from suspnet.ground.records import OK, PLACE_FROM_TRAIN, Key, Place, TripResult
 from suspnet.ground.storage import content_hash
 from suspnet.trains.history.schema import BadRow
 from suspnet.trains.maintenance.alarms import Acknowledgement, newest_of
-from suspnet.trains.maintenance.schedule import Plan
+from suspnet.trains.maintenance.plan import Plan
 from suspnet.trains.maintenance.series import of_same_car
 from suspnet.trains.maintenance.state import State
 from suspnet.trains.pages.failing_sensors import dead_words, sensor_words

@@ -8,8 +8,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from suspnet.estimation.checkpoint import fingerprint
 from suspnet.estimation.fitted import Model
 from suspnet.estimation.trip_settings import TripSettings
@@ -17,7 +15,6 @@ from suspnet.ground.cache import Cache, code_hash
 from suspnet.ground.parameters import Limits
 from suspnet.ground.records import (
     ERROR,
-    OK,
     Place,
     TripCurves,
     TripResult,
@@ -29,7 +26,7 @@ from suspnet.ground.records import (
 from suspnet.trains.history import History
 from suspnet.trains.history.arrays import Reference
 from suspnet.trains.history.schema import trip_key, undated_key
-from suspnet.trains.maintenance.alarms import OWN_CAUSES, Alarm, watch
+from suspnet.trains.maintenance.alarms import Alarm, watch
 from suspnet.trains.maintenance.change import ChangeSettings
 from suspnet.trains.recordings.manifest_files import ManifestFile
 from suspnet.trains.trips.commissionings import since_km
@@ -101,25 +98,22 @@ def with_earlier(
     """
     vehicle = models[0].vehicle.name
     store.write(_kept(results, vehicle))
+    series, n_others = store.comparable(vehicle, place, _references(models), results)
+    if n_others:
+        log.warning("%s", LEFT_OUT.format(store, n_others, place))
+    if series is None:
+        return list(results)
+    fitting = set(zip(series.trip.tolist(), map(str, series.mileage_km.tolist()), strict=True))
     now = {key(r) for r in results for key in (trip_key, undated_key)}
     undated = {trip_key(r) for r in results if not r.start}
     earlier = [
         r
         for r in store.read(vehicle, place)
-        if trip_key(r) not in now and undated_key(r) not in undated
+        if (r.trip, str(r.mileage_km)) in fitting
+        and trip_key(r) not in now
+        and undated_key(r) not in undated
     ]
-    fitting = [r for r in earlier if r.status != OK or any(_is_of(r, m) for m in models)]
-    if len(fitting) < len(earlier):
-        log.warning("%s", LEFT_OUT.format(store, len(earlier) - len(fitting), place))
-    return [*results, *fitting]
-
-
-def _is_of(result: TripResult, model: Model) -> bool:
-    """Return whether a trip has the same healthy reference as a model."""
-    if not np.isclose(result.healthy_since_km, since_km(model), rtol=0, atol=0, equal_nan=True):
-        return False
-    own = [result.healthy_si.get(name, np.nan) for name in model.healthy.names]
-    return bool(np.allclose(own, model.healthy.values, rtol=1e-9, atol=0))
+    return [*results, *earlier]
 
 
 def keep_trips(
@@ -137,17 +131,20 @@ def keep_trips(
     """
     vehicle = models[0].vehicle.name
     store.write(kept := _kept(results, vehicle))
-    references = [
-        Reference(since_km(m), dict(zip(m.healthy.names, m.healthy.values.tolist(), strict=True)))
-        for m in models
-    ]
-    series, n_others = store.comparable(vehicle, place, references, kept)
+    series, n_others = store.comparable(vehicle, place, _references(models), kept)
     if n_others and (words := LEFT_OUT.format(store, n_others, place)) not in _LOGGED:
         _LOGGED.add(words)
         log.warning("%s", words)
     alarms = [] if series is None else watch(series, limits, settings).alarms
-    store.keep_alarms(vehicle, place, alarms, OWN_CAUSES)
+    store.keep_alarms(vehicle, place, alarms)
     return alarms
+
+
+def _references(models: Sequence[Model]) -> list[Reference]:
+    return [
+        Reference(since_km(m), dict(zip(m.healthy.names, m.healthy.values.tolist(), strict=True)))
+        for m in models
+    ]
 
 
 def _kept(results: Sequence[TripResult], vehicle: str) -> list[TripResult]:

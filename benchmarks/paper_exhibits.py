@@ -1,13 +1,16 @@
-"""Every figure and table of the paper, made again: pictures, tables and a page that lists them.
+"""Every figure and table of the paper, made again: pictures, tables, and a list of them.
 
-Figures 1, 2 and 8 and the recordings behind 4, 9 and 10 are of the authors' own train: simulated
-trips of the same vehicle take their place.
+python train.py experiment=table6 figures=false
+python benchmarks/paper_exhibits.py outputs/table6/RUN
+
+Writes fig*.png, table*.md and paper.csv into the folder of the multirun. Figures 1, 2 and 8 and the
+recordings behind 4, 9 and 10 are of the authors' own train: simulated trips of the same vehicle
+take their place.
 """
 
 from __future__ import annotations
 
 import csv
-import logging
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,6 +20,7 @@ from typing import Any
 
 import matplotlib as mpl
 import torch
+from cells import Parser
 from matplotlib.figure import Figure
 from sklearn.base import clone
 from tabulate import tabulate
@@ -33,16 +37,15 @@ from suspnet.ground.parameters import UNITS
 from suspnet.ground.storage import read_json, write_atomically
 from suspnet.runs import plots
 from suspnet.runs.readings import METHODS
-from suspnet.runs.sweeps import Summary
 from suspnet.runs.tables import MODEL_TITLES, in_digits, records_csv
 from suspnet.runs.tensorboard import RunLog
 from suspnet.runs.train import train
 from suspnet.trains.jobs.fleet import FleetSettings, evaluate_fleet
-from suspnet.trains.pages.templates import packaged, render
 from suspnet.trains.simulation import Fleet, Scenario, Simulation, write_fleet
 from suspnet.vehicle import PARAMETERS, ResponseGenerator
 
-log = logging.getLogger(__name__)
+LIST = Path(__file__).with_suffix(".csv")
+"""What each exhibit of the paper shows, and where it is implemented."""
 FONT_POINTS = 12
 CLAIM_DB = 34.0
 """Noise of 2 %, from which on the paper's errors are below 10 % [dB]."""
@@ -95,21 +98,6 @@ class Exhibit:
             return f"table{('I', 'II', 'III', 'IV', 'V', 'VI', 'VII').index(number) + 1}"
         return f"fig{int(number):02d}"
 
-    @property
-    def lines(self) -> dict[str, str]:
-        """What the page says of it, by label."""
-        texts = {"The paper": self.paper, "Here": self.ours, "Implemented in": self.home}
-        return texts | ({"Made alone by": self.command} if self.command else {})
-
-
-class PaperSummary(Summary):
-    """Table VI of a multirun, then every other figure and table of the paper, and their page."""
-
-    def summarise(self, runs: Sequence[Mapping[str, Any]], folder: Path) -> None:
-        """Write all exhibits into the folder of the multirun."""
-        super().summarise(runs, folder)
-        write_paper(runs, folder)
-
 
 def write_paper(
     runs: Sequence[Mapping[str, Any]],
@@ -121,8 +109,8 @@ def write_paper(
 ) -> list[Exhibit]:
     """Make every exhibit from the jobs of a multirun of Table VI, list them, and return them.
 
-    `runs` holds the metrics.json of the jobs in `folder`, which gets fig*.png, table*.md, paper.csv
-    and index.html. `fleet` are the simulated trips, `of_trips` the training curves of the model
+    `runs` holds the metrics.json of the jobs in `folder`, which gets fig*.png, table*.md and
+    paper.csv. `fleet` are the simulated trips, `of_trips` the training curves of the model
     that reads them, `snr_db` the noise of Fig. 11.
     """
     models = _models(folder)
@@ -138,7 +126,7 @@ def write_paper(
         "Fig. 11": (precision_words(noisy), ()),
     }
     exhibits = []
-    for row in csv.DictReader((packaged("paper.csv") or "").splitlines()):
+    for row in csv.DictReader(LIST.read_text(encoding="utf-8").splitlines()):
         exhibit = Exhibit(row["item"], row["paper"], row["ours"], row["home"], row["command"])
         ours, rows = findings.get(exhibit.item, (exhibit.ours, ()))
         picture = f"{exhibit.file}.png" if (folder / f"{exhibit.file}.png").exists() else ""
@@ -147,12 +135,8 @@ def write_paper(
             write_atomically(folder / f"{exhibit.file}.md", f"{tabulate(rows, 'keys', 'github')}\n")
     plain = [{k: v for k, v in vars(exhibit).items() if k != "rows"} for exhibit in exhibits]
     write_atomically(folder / "paper.csv", records_csv(plain))
-    page = render("paper.html", title="The paper, item by item", exhibits=exhibits)
-    write_atomically(folder / "index.html", page)
-    text = "\n".join(
-        f"{exhibit.item}: {exhibit.paper}\n    here: {exhibit.ours}" for exhibit in exhibits
-    )
-    log.info("The paper, item by item\n\n%s\n-> %s/index.html", text, folder)
+    for exhibit in exhibits:
+        print(f"{exhibit.item}: {exhibit.paper}\n    here: {exhibit.ours}")
     return exhibits
 
 
@@ -327,3 +311,18 @@ def precision_words(noisy: Sequence[Mapping[str, Any]]) -> str:
             missed.append(output)
     verdict = f"not below 10 % from 2 % on: {', '.join(missed)}" if missed else "as in the paper"
     return f"From a precision of {' to '.join(ends)}: {', '.join(words)}; {verdict}"
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Make the exhibits from the jobs of a multirun."""
+    parser = Parser(description="Every figure and table of the paper, made again.")
+    parser.add_argument("folder", type=Path, help="of a multirun of experiment=table6")
+    folder = parser.parse_args(argv).folder
+    runs = [read_json(path) for path in sorted(folder.glob("*/metrics.json"))]
+    if not runs:
+        parser.error(f"{folder} holds no job: give the folder of a multirun of experiment=table6")
+    write_paper(runs, folder)
+
+
+if __name__ == "__main__":
+    main()
