@@ -229,7 +229,7 @@ def main() -> None:
         (folder / "trip" / "trip.yaml").write_text(given.trip.read_text())
         (folder / "trip" / given.trip.stem).symlink_to(given.trip.with_suffix("").absolute())
         frames = list(Replay(folder / "trip").frames())
-        live, settings = LiveSettings(every_s=given.every), FleetSettings(TripSettings())
+        live, settings = LiveSettings(), FleetSettings(TripSettings())
         several = [
             LiveSuspension(replace(manifest, train=f"{k:06d}"), [model], settings.trips, live)
             for k in range(given.suspensions)

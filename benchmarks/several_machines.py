@@ -139,7 +139,7 @@ def send(port: int, trip: Path, names: Sequence[str], times: float) -> None:
     for one in frames:
         by_second.setdefault((one.time_ns - frames[0].time_ns) // 10**9, []).append(Template(one))
     broker = Broker(port=port)
-    sink = MqttSink(broker, in_flight=1000)
+    sink = MqttSink(broker)
     sink.open()
     places = [f"train {name}, {frames[0].suspension}" for name in names]
     begin_s = time.monotonic()

@@ -46,12 +46,10 @@ KINDS: dict[str, dict[str, str | type]] = {
     "sink": {
         "folder": "suspnet.depot.live.sinks.Folder",
         "mqtt": "suspnet.depot.live.sinks.MqttSink",
-        "stdout": "suspnet.depot.live.sinks.StandardOutput",
     },
     "source": {
         "folder": "suspnet.depot.live.drop_folder.DropFolder",
         "mqtt": "suspnet.depot.live.mqtt.Mqtt",
-        "stdin": "suspnet.depot.live.source.Pipe",
     },
     # where there is one kind only, a configuration need not name it
     "broker": {"": "suspnet.depot.live.broker.Broker"},

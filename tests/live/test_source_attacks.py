@@ -102,7 +102,7 @@ def all_read(incoming, then):
     source = DropFolder(incoming, then=then, poll_s=0.01)
     source.subscribe(["train 1, car 2"])
     found = []
-    for _ in range(3):
+    for _ in range(20):
         found += source.receive(0.02)
         source.confirm()
     source.close()

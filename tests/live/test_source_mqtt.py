@@ -118,7 +118,7 @@ def test_confirmed_frames_never_come_again(broker, opened):
 
 
 def test_broker_restarted_while_frames_flow_loses_none(broker, opened):
-    source, sink = opened(Mqtt(at(broker))), opened(MqttSink(at(broker), in_flight=10))
+    source, sink = opened(Mqtt(at(broker))), opened(MqttSink(at(broker)))
     thread = threading.Thread(target=send, args=(sink, 300))
     thread.start()
     found = received(source, 30)
@@ -324,7 +324,6 @@ WRONG = {
         ),
         (lambda: Mqtt(in_flight=0), "`in_flight` must be"),
         (lambda: Mqtt(session_h=0), "`session_h` must be"),
-        (lambda: MqttSink(in_flight=70_000), "`in_flight` must be"),
         (lambda: Broker(port=0), "`port` must be"),
         *(
             (lambda key=key, value=value: Broker(**{key: value}), f"`{key}` must be")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import importlib
-import json
 import logging
 import re
 import threading
@@ -14,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from suspnet.depot.live.broker import KEEPALIVE_S, Broker
-from suspnet.depot.live.source import ResultKind, plain_json
+from suspnet.depot.live.source import ResultKind
 from suspnet.ground.extras import import_extra
 from suspnet.ground.settings import Setting, check_values
 from suspnet.trains.recordings.frames import MOST_BYTES
@@ -41,7 +40,8 @@ class Mqtt:
     At most `in_flight` frames wait for `receive`: the broker is asked to send no more before some
     are acknowledged, and as not every broker obeys, the connection is not read beyond that. A
     message larger than any frame is acknowledged and dropped at once; withheld by the broker, it
-    would occupy a place among the messages in flight for ever (Mosquitto 2.0.11).
+    would occupy a place among the messages in flight for ever (Mosquitto 2.0.11). `counts` are
+    "disconnect", "reconnect", "unreachable", "rejected", and the "size" of a message.
     """
 
     settings: ClassVar[Mapping[str, Setting]] = {
@@ -80,7 +80,7 @@ class Mqtt:
         self.client_id = f"{client_id}-{self.shard}-of-{self.n_shards}"
         self.in_flight, self.session_h = in_flight, session_h
         self.is_connected = False
-        self._counts: Counter[str] = Counter()
+        self.counts: Counter[str] = Counter()
         self._client: Client | None = None
         self._topics: list[str] = []
         # shared with the client thread: messages by number of the connection, under `_changed`
@@ -93,11 +93,6 @@ class Mqtt:
         self._results: dict[str, bytes] = {}
         self._unacknowledged: set[int] = set()
         self._acknowledged: deque[int] = deque()
-
-    @property
-    def counts(self) -> Counter[str]:
-        """Events: "disconnect", "reconnect", "unreachable", "rejected", "size" of a message."""
-        return Counter(self._counts)
 
     @property
     def n_waiting(self) -> int:
@@ -166,7 +161,7 @@ class Mqtt:
         """Publish a retained message; only the latest of each topic waits for the broker."""
         topic = self.broker.topic(kind, suspension)
         self._results.pop(topic, None)
-        self._results[topic] = json.dumps(plain_json(message)).encode()
+        self._results[topic] = message
         self._send()
 
     def close(self) -> None:
@@ -213,7 +208,7 @@ class Mqtt:
             return
         with self._changed:
             if self._connection:
-                self._counts["reconnect"] += 1
+                self.counts["reconnect"] += 1
             self._connection += 1
             self.is_connected, self._is_away = True, False
         log.info("connected to the broker at %s", self.broker.where)
@@ -243,7 +238,7 @@ class Mqtt:
 
     def _on_message(self, client: Client, userdata: Any, message: Any) -> None:
         if len(message.payload) > MOST_BYTES:
-            self._counts["size"] += 1
+            self.counts["size"] += 1
             client.ack(message.mid, message.qos)
             return
         with self._changed:
@@ -258,7 +253,7 @@ class Mqtt:
 
     def _count(self, reason: str, message: str) -> None:
         """Count a problem with the broker, and log the first one of each connection."""
-        self._counts[reason] += 1
+        self.counts[reason] += 1
         if not self._is_away:
             where = self.broker.where
             log.warning("the broker at %s: %s; retrying until it answers", where, message)

@@ -44,14 +44,14 @@ class Results:
         self._store, self._settings, self._publish = store, settings, publish
 
     def report(self, suspension: LiveSuspension, estimate: SectionEstimate) -> None:
-        """Store and publish an estimate; that of an ended section raises and clears alarms.
+        """Store and publish an estimate, which raises and clears alarms.
 
         The operation is idempotent: the same estimate replaces the stored one. It blocks while the
         store is unavailable.
         """
         result = estimate.result
         has_moved = result.status == OK or estimate.distance_km >= MIN_KM
-        if estimate.is_final and result.status != ERROR and has_moved:
+        if result.status != ERROR and has_moved:
             alarms = self._stored(result, suspension.models)
             row = alarms_row(suspension.name, result, alarms)
             self._publish("alarms", suspension.name, json_bytes(row))
@@ -77,9 +77,8 @@ def summary(estimate: SectionEstimate) -> str:
     """Return an estimate on one line."""
     result = estimate.result
     values = ", ".join(f"{name} {value:.4g}" for name, value in result.estimates.items())
-    so_far = "" if estimate.is_final else " (so far)"
     worn = f"; worn: {result.worn}" if result.worn else ""
-    where = f"{result.trip}, {kilometres(result.mileage_km)}{so_far}"
+    where = f"{result.trip}, {kilometres(result.mileage_km)}"
     return f"{where}: {values or 'no estimate'}{worn}"
 
 
@@ -96,7 +95,6 @@ def estimate_row(name: str, estimate: SectionEstimate, level: float) -> dict[str
         "trip": result.trip,
         "start": result.start,
         "mileage_km": result.mileage_km,
-        "final": estimate.is_final,
         "status": result.status,
         "reason": result.reason,
         "flags": result.flags,

@@ -1,14 +1,14 @@
-"""Destinations of a replay's frames: standard output, a folder, a broker."""
+"""Destinations of a replay's frames: a folder, a broker."""
 
 from __future__ import annotations
 
 import logging
 import re
-import sys
 import threading
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
+from queue import Empty, Queue
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 from suspnet.depot.live.broker import KEEPALIVE_S, Broker
@@ -25,6 +25,7 @@ log = logging.getLogger(__name__)
 NUMBERED = re.compile(r"\d{9}", re.ASCII)  # names of the files that a `Folder` writes
 MAX_FILE_BYTES = 2**23  # after which the next file is started
 ANSWER_S = 10.0  # timeout of the first connection to a broker
+IN_FLIGHT = 100  # frames that a broker may not yet have acknowledged
 
 
 class Sink(Protocol):
@@ -42,29 +43,6 @@ class Sink(Protocol):
 
     def close(self) -> None:
         """Send waiting frames, and wait until all are taken."""
-
-
-class StandardOutput:
-    """Writes frames to standard output, one after another, as ``source=stdin`` reads them."""
-
-    def __init__(self) -> None:
-        self.counts: Counter[str] = Counter()
-
-    def open(self) -> None:
-        """Raise ValueError if standard output is a terminal: frames are binary."""
-        if sys.stdout.isatty():
-            raise ValueError(
-                "frames are binary: pipe them into suspnet-monitor source=stdin or a file, "
-                "or give sink=folder or sink=mqtt"
-            )
-
-    def send(self, frame: Frame) -> None:
-        """Write a frame at once."""
-        sys.stdout.buffer.write(encode(frame))
-        sys.stdout.buffer.flush()
-
-    def close(self) -> None:
-        """Do nothing: every frame is already written."""
 
 
 class Folder:
@@ -115,25 +93,14 @@ class Folder:
 class MqttSink:
     """Publishes frames to PREFIX/frames/SUSPENSION, with QoS 1.
 
-    At most `in_flight` frames, or as many as the broker takes at once, are on the way; then `send`
-    waits, also while the broker is disconnected. `counts` are frames "rejected" by the broker, and
-    lost connections ("disconnect").
+    At most ``IN_FLIGHT`` frames, or as many as the broker takes at once, are on the way; then `send`
+    waits, also while the broker is disconnected. `counts` are frames "rejected" by the broker, and lost connections ("disconnect").
     """
 
-    settings: ClassVar[Mapping[str, Setting]] = {
-        "in_flight": Setting(
-            "Number of frames that the broker may not yet have acknowledged; then the replay waits",
-            low=1,
-            high=65535,
-        )
-    }
-
-    def __init__(self, broker: Broker | None = None, in_flight: int = 100) -> None:
-        check_values(MqttSink, in_flight=in_flight)
+    def __init__(self, broker: Broker | None = None) -> None:
         self.broker = Broker() if broker is None else broker
-        self.in_flight, self.counts = in_flight, Counter[str]()
-        self._answered = threading.Event()
-        self._refusal = ""
+        self.counts: Counter[str] = Counter()
+        self._answers: Queue[tuple[str, int]] = Queue()
         self._client: Client | None = None
 
     def open(self) -> None:
@@ -141,20 +108,24 @@ class MqttSink:
         client = self.broker.client("")  # the broker assigns a unique client id
         client.on_connect, client.on_publish = self._on_connect, self._on_publish
         client.on_disconnect = self._on_disconnect
-        client.max_inflight_messages_set(self.in_flight)
+        client.max_inflight_messages_set(IN_FLIGHT)
         where = self.broker.where
         try:
             client.connect(str(self.broker.host), self.broker.port, KEEPALIVE_S)
         except OSError as error:
             raise ConnectionError(error.errno, f"no broker: {error.strerror}", where) from error
         client.loop_start()
-        if not self._answered.wait(ANSWER_S):
-            self._refusal = f"no answer within {ANSWER_S:g} s"
-        if self._refusal:
+        try:
+            refusal, most = self._answers.get(timeout=ANSWER_S)
+        except Empty:
+            refusal, most = f"no answer within {ANSWER_S:g} s", 0
+        if refusal:
             client.disconnect()
             client.loop_stop()
-            raise ValueError(f"the broker at {where}: {self._refusal}")
-        self._room = threading.Semaphore(self.in_flight)
+            raise ValueError(f"the broker at {where}: {refusal}")
+        # a broker disconnects a client with more messages in flight than it takes
+        self._in_flight = min(IN_FLIGHT, most)
+        self._room = threading.Semaphore(self._in_flight)
         self._client = client
 
     def send(self, frame: Frame) -> None:
@@ -167,20 +138,15 @@ class MqttSink:
         """Wait until the broker has taken all frames, and disconnect."""
         if self._client is None:
             return
-        for _ in range(self.in_flight):
+        for _ in range(self._in_flight):
             self._room.acquire()
         client, self._client = self._client, None
         client.disconnect()
         client.loop_stop()
 
     def _on_connect(self, client: Client, _: Any, flags: Any, reason: Any, more: Any) -> None:
-        """Limit the frames in flight to what the broker takes; beyond that it would disconnect."""
-        if self._answered.is_set():  # its first answer holds
-            return
-        if reason.is_failure:
-            self._refusal = str(reason)
-        self.in_flight = min(self.in_flight, getattr(more, "ReceiveMaximum", self.in_flight))
-        self._answered.set()
+        refusal = str(reason) if reason.is_failure else ""
+        self._answers.put((refusal, getattr(more, "ReceiveMaximum", IN_FLIGHT)))
 
     def _on_disconnect(self, client: Client, *_: Any) -> None:
         if self._client is not None:
