@@ -43,10 +43,6 @@ KINDS: dict[str, dict[str, str | type]] = {
         "ridge": "suspnet.learning.KernelRidge",
         "svr": "suspnet.learning.SVR",
     },
-    "sink": {
-        "folder": "suspnet.depot.live.sinks.Folder",
-        "mqtt": "suspnet.depot.live.sinks.MqttSink",
-    },
     "source": {
         "folder": "suspnet.depot.live.drop_folder.DropFolder",
         "mqtt": "suspnet.depot.live.mqtt.Mqtt",
@@ -73,7 +69,6 @@ PARTS: Mapping[str, tuple[str, ...]] = {
     "generator": ("vehicle",),
     "live": ("order",),
     "monitor": ("changes", "trips"),
-    "sink": ("broker",),
     "source": ("broker",),
 }
 """Keys of an object's settings that are objects themselves."""

@@ -42,7 +42,7 @@ def main(config: DictConfig) -> None:
         closing(source),
         nullcontext() if rules is None else closing(Notifier(store, rules)) as notifier,
     ):
-        results = Results(store, settings, source.publish)
+        results = Results(store, settings)
         monitor = Monitor(suspensions, source, journal, results.report, live.idle_s)
         n_frames = monitor.resume()
         log.info("%d suspensions; %d frames from %s", len(suspensions), n_frames, config.journal)

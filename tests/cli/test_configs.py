@@ -28,11 +28,10 @@ NAMES = {
         "search",
         "generator",
         "data",
-        "sink",
     )
 }
 NAMES |= {group: list(OmegaConf.load(CONFIGS / file)) for group, (file, _) in TABLES.items()}
-PROGRAM = {"study": "evaluate", "scenario": "simulate", "sink": "replay"}
+PROGRAM = {"study": "evaluate", "scenario": "simulate"}
 """The program of each group that is not train.py's."""
 OPTIONS = [
     (group, name)

@@ -3,7 +3,7 @@ from contextlib import closing
 
 import pytest
 
-from suspnet.depot.live.journal import READ_AT_ONCE, Journal, JournalError
+from suspnet.depot.live.journal import Journal, JournalError
 
 
 def filled(path):
@@ -44,7 +44,7 @@ def test_what_was_not_written_is_not_there(tmp_path):
 
 
 def test_frames_come_back_in_their_order(tmp_path):
-    frames = [str(k).encode() for k in range(3 * READ_AT_ONCE + 7)]
+    frames = [str(k).encode() for k in range(775)]
     with Journal(tmp_path / "journal") as journal:
         for one in frames:
             journal.add("A", one)

@@ -3,7 +3,6 @@ import os
 import signal
 import threading
 import time
-from collections import Counter
 from dataclasses import replace
 from functools import cache
 
@@ -46,7 +45,7 @@ def suspensions(fleet, live=LIVE, **changes):
 def monitored(folder, fleet, source, live=LIVE, **options):
     """Run a monitor until its source ends; return what the store has then."""
     with History(folder / "fleet.db") as store, Journal(folder / "journal") as journal:
-        results = Results(store, SETTINGS, source.publish)
+        results = Results(store, SETTINGS)
         monitor = Monitor(suspensions(fleet, live), source, journal, results.report, **options)
         monitor.resume()
         monitor.run()
@@ -109,12 +108,6 @@ def test_each_section_is_a_trip_with_its_mileage(tmp_path, fleet):
     for one, other in zip(found, expected, strict=True):
         assert_same_estimate(one, other)
         assert one.start == other.start
-    kinds = Counter(kind for kind, *_ in source.published)
-    assert kinds == {"estimates": 2, "alarms": 2}
-    told = source.published[-1][2]
-    assert told["estimates"]["k_p"]["value"] == pytest.approx(found[-1].estimates["k_p"])
-    assert told["estimates"]["k_p"]["low"] < told["estimates"]["k_p"]["value"]
-    assert told["frames"]["taken"] > 100
 
 
 @pytest.mark.parametrize("section_s", [pytest.param(1200, marks=pytest.mark.slow), 200])
@@ -193,9 +186,7 @@ def run_child(folder, fleet, frames, last=None):
             return receive(timeout_s)
 
         source.receive = received
-    with open(folder / "published", "a") as file:
-        source.publish = lambda *one: (file.write(f"{one}\n"), file.flush())
-        monitored(folder, fleet, source)
+    monitored(folder, fleet, source)
 
 
 def test_killed_monitors_lose_and_double_nothing(tmp_path, fleet):
@@ -333,7 +324,7 @@ def test_a_suspension_that_falls_silent_is_told_and_goes_on_as_another_trip(tmp_
         return now_s[0]
 
     with History(tmp_path / "fleet.db") as store, Journal(tmp_path / "journal") as journal:
-        results, (one,) = Results(store, SETTINGS, source.publish), suspensions(fleet)
+        results, (one,) = Results(store, SETTINGS), suspensions(fleet)
         monitor = Monitor([one], source, journal, results.report, 1500.0, clock, AtOnce())
         monitor.run()
     first, second = kept(tmp_path, fleet)

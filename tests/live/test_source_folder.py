@@ -1,6 +1,5 @@
 """Files of frames in a folder: read in the order of time, put away once they are kept."""
 
-import json
 import os
 import threading
 import time
@@ -192,13 +191,6 @@ def test_receive_waits_for_files_no_longer_than_it_was_told(tmp_path):
     assert 0.05 < time.monotonic() - begin < 2
     threading.Timer(0.1, (tmp_path / "a").write_bytes, [FRAMES[0]]).start()
     assert numbers(source.receive(5.0)) == [("train 1, car 2", "body", 0)]
-
-
-def test_results_are_lines_of_json(tmp_path, capsys):
-    source = opened(tmp_path)
-    source.publish("alarms", 'a "b"', b'{"suspension": "a \\"b\\"", "alarms": []}')
-    (line,) = capsys.readouterr().out.splitlines()
-    assert json.loads(line) == {"kind": "alarms", "suspension": 'a "b"', "alarms": []}
 
 
 def test_folder_that_is_not_there_is_a_mistake(tmp_path):

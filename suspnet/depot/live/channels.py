@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from email.message import EmailMessage
 from email.utils import formatdate
 from string import punctuation
-from typing import Any, Literal, Protocol
+from typing import Literal
 from urllib.parse import quote, urlsplit
 
 from suspnet.depot.live.broker import secret
@@ -43,16 +43,6 @@ class DeliveryError(Exception):
 
 class AddressError(DeliveryError):
     """A server did not accept one address; it may accept others."""
-
-
-class NotificationChannel(Protocol):
-    """Interface of a channel."""
-
-    def check(self, addresses: tuple[str, ...]) -> None:
-        """Raise ValueError or OSError if a secret or an address is missing or wrong."""
-
-    def send(self, message: Message) -> None:
-        """Return once the message is accepted; DeliveryError if it is not."""
 
 
 @dataclass(frozen=True)
@@ -91,12 +81,13 @@ class Webhook:
         }
         url = urlsplit(self.url)
         target = (url.path or "/") + (f"?{url.query}" if url.query else "")
-        host, kind = url.hostname or "", http.client.HTTPConnection
-        options: dict[str, Any] = {"timeout": CONNECT_S}
+        host = url.hostname or ""
+        client = http.client.HTTPConnection(host, url.port, timeout=CONNECT_S)
         if url.scheme == "https":
-            kind, options["context"] = http.client.HTTPSConnection, ssl.create_default_context()
+            context = ssl.create_default_context()
+            client = http.client.HTTPSConnection(host, url.port, timeout=CONNECT_S, context=context)
         try:
-            with closing(kind(host, url.port, **options)) as client, _deadline(client, host):
+            with closing(client), _deadline(client, host):
                 client.connect()
                 client.sock.settimeout(DEADLINE_S)
                 client.request("POST", quote(target, safe=punctuation), body, headers)
@@ -210,8 +201,9 @@ def _deadline(client: http.client.HTTPConnection | smtplib.SMTP, host: str) -> I
         while not has_ended.wait(wait_s):  # ends: with the connection, which may be made just now
             is_late.set()
             wait_s = 0.1
-            with suppress(OSError, AttributeError):  # there is none, or it is closed already
-                client.sock.shutdown(socket.SHUT_RDWR)
+            if client.sock is not None:
+                with suppress(OSError):  # it is closed already
+                    client.sock.shutdown(socket.SHUT_RDWR)
 
     thread = threading.Thread(target=watch)
     thread.start()

@@ -1,4 +1,4 @@
-"""A folder into which loggers drop files of frames; results as lines of JSON on standard output."""
+"""A folder into which loggers drop files of frames."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from typing import BinaryIO, ClassVar, Literal, NamedTuple
 
 import pyarrow as pa
 
-from suspnet.depot.live.source import ResultKind, print_result
 from suspnet.ground.ledger import free_name
 from suspnet.ground.settings import Setting, check_values
 from suspnet.ground.storage import DamagedFileError, open_plain
@@ -122,10 +121,6 @@ class DropFolder:
                 self._leave(file.path, str(error.strerror))
             else:
                 self._seen.discard(file.path.name)
-
-    def publish(self, kind: ResultKind, suspension: str, message: bytes) -> None:
-        """Write a line of JSON to standard output."""
-        print_result(kind, message)
 
     def close(self) -> None:
         """Do nothing: no file is open."""

@@ -28,7 +28,6 @@ APPLICATION_ID = 0x7375736A  # SQLite application id, by which a journal is reco
 MARKER = "SELECT 1 FROM format WHERE name LIKE 'suspnet-journal-%'"
 """Query that returns a row for any journal."""
 RANGE = 2**40  # frame numbers of a suspension: enough for 8,000 years at four frames a second
-READ_AT_ONCE = 256  # frames
 PAGE_BYTES = 2**14  # a frame of 1 s takes one or two pages
 
 
@@ -120,12 +119,9 @@ class Journal:
 
     def frames(self, suspension: str) -> Iterator[bytes]:
         """Yield the frames since the last saved state, in the order in which they were added."""
-        if suspension not in self._numbers:
-            return
         query = "SELECT frame FROM frames WHERE id BETWEEN ? AND ? ORDER BY id"
-        rows = self._connection.execute(query, _ids(self._numbers[suspension]))
-        while several := rows.fetchmany(READ_AT_ONCE):  # ends with the rows
-            yield from (frame for (frame,) in several)
+        rows = self._connection.execute(query, _ids(self._numbers.get(suspension, 0)))
+        return (frame for (frame,) in rows)
 
     def suspensions(self) -> list[str]:
         """Return the sorted names of the suspensions with a state or frames."""

@@ -1,4 +1,4 @@
-"""Frames from an MQTT 5 broker; results as retained messages on it."""
+"""Frames from an MQTT 5 broker."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from suspnet.depot.live.broker import KEEPALIVE_S, Broker
-from suspnet.depot.live.source import ResultKind
 from suspnet.ground.extras import import_extra
 from suspnet.ground.settings import Setting, check_values
 from suspnet.trains.recordings.frames import MOST_BYTES
@@ -22,12 +21,11 @@ if TYPE_CHECKING:
     from paho.mqtt.client import Client
 
 log = logging.getLogger(__name__)
-MAX_UNACKNOWLEDGED = 20  # results in flight; of the others the latest of each topic waits
 MAX_TOPICS = 100  # of one request of a subscription
 TAKEN_OVER = "Session taken over"
 """Reason, as paho-mqtt names it, for which a broker ends a connection when another client of the
 same name connects. Mosquitto 2.0.11 states none."""
-CLOSING_S = 5.0  # longest time that `close` waits for the broker to take the results
+CLOSING_S = 5.0  # longest time that `close` waits until acknowledgements are sent
 
 
 class Mqtt:
@@ -90,9 +88,6 @@ class Mqtt:
         self._is_away = self._is_closing = self._is_replaced = False
         # of the calling thread only
         self._delivered: list[tuple[int, int]] = []
-        self._results: dict[str, bytes] = {}
-        self._unacknowledged: set[int] = set()
-        self._acknowledged: deque[int] = deque()
 
     @property
     def n_waiting(self) -> int:
@@ -102,12 +97,11 @@ class Mqtt:
     def subscribe(self, suspensions: Sequence[str]) -> Sequence[str]:
         """Start to connect; return the suspensions of this process. See `FrameSource`."""
         own = [name for name in suspensions if is_in_shard(name, self.shard, self.n_shards)]
-        self._topics = [self.broker.topic("frames", name) for name in own]
+        self._topics = [self.broker.topic(name) for name in own]
         client = self.broker.client(self.client_id, manual_ack=True)
-        client.max_queued_messages_set(MAX_UNACKNOWLEDGED)
         client.on_connect, client.on_disconnect = self._on_connect, self._on_disconnect
         client.on_connect_fail, client.on_message = self._on_connect_fail, self._on_message
-        client.on_subscribe, client.on_publish = self._on_subscribe, self._on_publish
+        client.on_subscribe = self._on_subscribe
         packet = import_extra("paho.mqtt.packettypes", "live", "MQTT").PacketTypes.CONNECT
         properties = import_extra("paho.mqtt.properties", "live", "MQTT").Properties(packet)
         properties.SessionExpiryInterval = round(3600 * self.session_h)
@@ -129,7 +123,6 @@ class Mqtt:
         ValueError is raised once another monitor has taken over the session: of two that share
         frames, each would see a part of every section.
         """
-        self._send()
         with self._changed:
             self._changed.wait_for(lambda: self._arrived or self._is_replaced, timeout_s)
             if self._is_replaced:
@@ -155,27 +148,13 @@ class Mqtt:
                 if number and self.is_connected and connection == self._connection:
                     self._client.ack(number, 1)
         del self._delivered[:n_confirmed]
-        self._send()
-
-    def publish(self, kind: ResultKind, suspension: str, message: bytes) -> None:
-        """Publish a retained message; only the latest of each topic waits for the broker."""
-        topic = self.broker.topic(kind, suspension)
-        self._results.pop(topic, None)
-        self._results[topic] = message
-        self._send()
 
     def close(self) -> None:
-        """Send results and acknowledgements if the broker takes them, and disconnect.
-
-        The broker retains the session.
-        """
+        """Send acknowledgements if the broker takes them, and disconnect; the session remains."""
         if self._client is None:
             return
         deadline = time.monotonic() + CLOSING_S
-        while time.monotonic() < deadline and self.is_connected:
-            self._send()
-            if not (self._results or self._unacknowledged or self._client.want_write()):
-                break
+        while time.monotonic() < deadline and self.is_connected and self._client.want_write():
             time.sleep(0.01)
         with self._changed:
             self._is_closing = True
@@ -183,23 +162,6 @@ class Mqtt:
         self._client.disconnect()
         self._client.loop_stop()
         self._client = None
-
-    def _send(self) -> None:
-        """Give waiting results to the client, up to ``MAX_UNACKNOWLEDGED`` in flight.
-
-        No lock is held here: the client calls `_on_publish` under a lock of its own.
-        """
-        while self._acknowledged:  # ends: at most as many as were sent
-            self._unacknowledged.discard(self._acknowledged.popleft())
-        if self._client is None or not self.is_connected:
-            return
-        while self._results and len(self._unacknowledged) < MAX_UNACKNOWLEDGED:
-            topic = next(iter(self._results))
-            sent = self._client.publish(topic, self._results[topic], qos=1, retain=True)
-            if sent.rc:  # the connection is gone, or the client's queue is full
-                return
-            del self._results[topic]
-            self._unacknowledged.add(sent.mid)
 
     def _on_connect(self, client: Client, _: Any, flags: Any, reason: Any, more: Any) -> None:
         """Subscribe; the broker resends frames not acknowledged over the last connection."""
@@ -245,11 +207,6 @@ class Mqtt:
             self._changed.wait_for(lambda: len(self._arrived) < self.in_flight or self._is_closing)
             self._arrived.append((self._connection, message.mid, message.payload))
             self._changed.notify_all()
-
-    def _on_publish(self, client: Client, _: Any, number: int, reason: Any, more: Any) -> None:
-        if reason.is_failure:
-            self._count("rejected", f"a result: {reason}")
-        self._acknowledged.append(number)
 
     def _count(self, reason: str, message: str) -> None:
         """Count a problem with the broker, and log the first one of each connection."""

@@ -16,13 +16,7 @@ from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
 
-from suspnet.depot.live.channels import (
-    AddressError,
-    DeliveryError,
-    Email,
-    NotificationChannel,
-    Webhook,
-)
+from suspnet.depot.live.channels import AddressError, DeliveryError, Email, Webhook
 from suspnet.ground.core_yaml import read_yaml
 from suspnet.ground.parameters import Severity
 from suspnet.trains.history import History, HistoryError
@@ -33,7 +27,10 @@ LOOK_S = 10.0  # time between two looks for changed suspensions and due messages
 LONGEST_LOOK_S = 60.0
 """Longest time between two looks at the alarms, also if no suspension changed, [s]."""
 WAIT_S = 5.0  # time until an unavailable store is tried again, [s]
-KINDS: Mapping[str, type] = {"email": Email, "webhook": Webhook}  # class of each kind of channel
+KINDS: Mapping[str, type[Email] | type[Webhook]] = {
+    "email": Email,
+    "webhook": Webhook,
+}  # class of each kind of channel
 LEVELS = {str(severity): severity for severity in (Severity.NOTICE, Severity.ACT)}
 
 
@@ -42,7 +39,7 @@ class Rules:
     """Recipients, the channels by name, and the zone of digest times (None: the computer's)."""
 
     recipients: tuple[Recipient, ...]
-    channels: Mapping[str, NotificationChannel]
+    channels: Mapping[str, Email | Webhook]
     zone: tzinfo | None = None
 
 
@@ -159,20 +156,19 @@ def read_rules(path: Path) -> Rules:
     return Rules(recipients, channels, zone)
 
 
-def _channel(content: Any, where: str) -> NotificationChannel:
+def _channel(content: Any, where: str) -> Email | Webhook:
     values = dict(_mapping(content, where))
     kind = values.pop("kind", None)
     if not isinstance(kind, str) or kind not in KINDS:
         raise ValueError(f"`{where}.kind` must be one of {', '.join(KINDS)}, got {kind!r}")
     _mapping(values, where, [field.name for field in fields(KINDS[kind])])
     try:
-        channel: NotificationChannel = KINDS[kind](**values)
-        return channel
+        return KINDS[kind](**values)
     except (TypeError, ValueError) as error:
         raise ValueError(f"`{where}`: {error}") from None
 
 
-def _recipient(name: str, content: Any, channels: Mapping[str, NotificationChannel]) -> Recipient:
+def _recipient(name: str, content: Any, channels: Mapping[str, Email | Webhook]) -> Recipient:
     where = f"recipients.{name}"
     values = _mapping(content, where, ("channels", "to", *OPTIONS))
     # only the keys of the file: the defaults of the others are those of `Recipient`
@@ -186,7 +182,7 @@ def _recipient(name: str, content: Any, channels: Mapping[str, NotificationChann
 
 
 def _targets(
-    values: Mapping[Any, Any], where: str, channels: Mapping[str, NotificationChannel]
+    values: Mapping[Any, Any], where: str, channels: Mapping[str, Email | Webhook]
 ) -> tuple[tuple[str, str], ...]:
     """Return pairs of channel and address, which is empty for others than mails."""
     addresses = _texts(values.get("to", []), f"{where}.to", least=0)

@@ -1,18 +1,14 @@
-"""Interface of a source of frames, and results as lines of JSON."""
+"""Interface of a source of frames."""
 
 from __future__ import annotations
 
-import json
-import sys
 from collections import Counter
 from collections.abc import Sequence
-from typing import Literal, Protocol
-
-ResultKind = Literal["estimates", "alarms"]
+from typing import Protocol
 
 
 class FrameSource(Protocol):
-    """Interface of a source of encoded frames, which also takes results.
+    """Interface of a source of encoded frames.
 
     A source is made from its settings, which it checks, and opens nothing before `subscribe`. All
     methods are called by one thread. Frames are delivered at least once: what was received but not
@@ -38,14 +34,5 @@ class FrameSource(Protocol):
     def confirm(self, n_frames: int | None = None) -> None:
         """Let the source forget the next `n_frames` that it returned; None: all so far."""
 
-    def publish(self, kind: ResultKind, suspension: str, message: bytes) -> None:
-        """Publish a result, a JSON object, of one suspension; never wait for a network."""
-
     def close(self) -> None:
         """Release resources; frames that were not confirmed are delivered again."""
-
-
-def print_result(kind: ResultKind, message: bytes) -> None:
-    """Write a result to standard output, as one line of JSON with its kind first."""
-    sys.stdout.write(json.dumps({"kind": kind, **json.loads(message)}) + "\n")
-    sys.stdout.flush()

@@ -101,7 +101,7 @@ class LiveSuspension:
             self._sections.add(frame, is_known)
 
     def due(self) -> list[EstimateJob]:
-        """Return the estimates of sections that have ended, once: the state no longer holds them."""
+        """Return the estimates of sections that have ended; the state no longer holds these."""
         return self._jobs(self._sections.over())
 
     def end(self) -> list[EstimateJob]:
