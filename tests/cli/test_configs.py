@@ -38,6 +38,7 @@ OPTIONS = [
     for group, names in NAMES.items()
     for name in names
     if group not in ("experiment", "reading")  # they differ from the defaults on purpose
+    and (group, name) != ("search", "stored")  # nothing is tuned: the grids are all there is
 ]
 OF_THE_OPTION = {"GridSearch", "Protocol", "Scenario", "Vehicle"}
 """Classes whose options differ from each other on purpose."""
