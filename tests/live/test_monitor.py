@@ -310,6 +310,12 @@ def test_journal_of_other_settings_is_refused(tmp_path, fleet):
         monitored(tmp_path, fleet, ListSource(frames), replace(LIVE, section_s=200))
 
 
+def test_manifests_of_a_folder_need_no_files(tmp_path, fleet):
+    (tmp_path / "live.yaml").write_text(fleet[0].read_text())
+    (found,) = read_suspensions(tmp_path, [model_at()], SETTINGS, LIVE)
+    assert found.name == str(read_manifest(fleet[0]).place)
+
+
 @pytest.mark.parametrize("name", ["a\x1b[2J", "a" * 100])
 def test_manifest_of_a_name_that_no_frame_can_have_is_refused(tmp_path, fleet, name):
     content = yaml.safe_load(fleet[0].read_text())

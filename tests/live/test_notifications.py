@@ -19,6 +19,7 @@ from email import message_from_bytes, policy
 
 import pytest
 from empty_stores import KINDS, empty_store
+from live_frames import until
 from notified import (
     ACT,
     FIRST,
@@ -36,7 +37,7 @@ from suspnet.depot.live import notifier as notifier_module
 from suspnet.depot.live.channels import AddressError, DeliveryError, Email, Webhook
 from suspnet.depot.live.notifier import Notifier, read_rules
 from suspnet.ground.parameters import Severity
-from suspnet.trains.history import History, outbox
+from suspnet.trains.history import History, HistoryError, outbox
 from suspnet.trains.history.outbox import LEASE_S
 
 NIGHT = datetime(2026, 3, 31, 3, tzinfo=UTC)
@@ -344,6 +345,25 @@ def test_a_failure_holds_up_no_other_channel_and_an_address_no_other(told, error
     clock.now += timedelta(hours=4)  # the digest is due too
     assert Notifier(store, rules, clock).once() == (n_sent, 1)
     assert len(got) == 2
+
+
+def test_a_running_notifier_goes_on_after_any_fault(told, monkeypatch, caplog):
+    monkeypatch.setattr(notifier_module, "LOOK_S", 0.01)
+    _, notifier, _, got, _ = told
+    look, faults = notifier.look, [ZeroDivisionError("odd"), HistoryError("the store is away")]
+
+    def failing():
+        if faults:
+            raise faults.pop()
+        look()
+
+    monkeypatch.setattr(notifier, "look", failing)
+    notifier.start()
+    assert until(lambda: got)
+    notifier.close()
+    assert "the store is away; notifications wait for it" in caplog.text
+    assert "notifications failed" in caplog.text
+    assert len(got) == 1
 
 
 @pytest.mark.parametrize("back", [timedelta(days=3650)])
