@@ -13,13 +13,13 @@ from suspnet.cli.serve import ServeSettings
 from suspnet.cli.simulate import WORKERS
 from suspnet.curves.components import CurveFeatures
 from suspnet.curves.extraction import PeakFeatures
-from suspnet.depot.live.replay import Pace, Replay
+from suspnet.depot.live.replay import Replay
 from suspnet.ground.settings import Declared, settings_of
 from suspnet.trains.simulation.fleet import Trains
 from suspnet.trains.simulation.signals import Sensor
 
 OF_PROGRAMS: dict[str, list[Declared]] = {
-    "replay": [one for class_ in (Replay, Pace) for one in settings_of(class_).values()],
+    "replay": [*settings_of(Replay).values()],
     "simulate": [*settings_of(Trains).values(), WORKERS],
     "serve": [*settings_of(ServeSettings).values()],
     "train": [*settings_of(HealthySettings).values(), THREADS],

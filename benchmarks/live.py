@@ -172,10 +172,6 @@ class Repeated:
     def confirm(self, n_frames: int | None = None) -> None:
         """Forget nothing: the next frames are new."""
 
-    def publish(self, kind: str, suspension: str, payload: bytes) -> None:
-        """Count it."""
-        self.counts[kind] += 1
-
     def close(self) -> None:
         """Close nothing."""
 
@@ -188,9 +184,8 @@ class Timed(Monitor):
     source: Repeated
 
     def is_busy(self) -> bool:
-        """Return whether an estimate is being made, or a batch written."""
-        futures = [self._making and self._making.future, self._writing and self._writing[1]]
-        return not all(future.done() for future in futures if future is not None)
+        """Return whether an estimate is being made."""
+        return self._making is not None and not self._making[2].done()
 
     def take(self, data: bytes) -> None:
         start = time.perf_counter()
@@ -219,7 +214,6 @@ def main() -> None:
     parser.add_argument("trip", type=Path)
     parser.add_argument("--suspensions", type=int, default=1)
     parser.add_argument("--hours", type=float, default=1.0)
-    parser.add_argument("--every", type=float, default=LiveSettings().every_s)
     given = parser.parse_args()
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as name:
@@ -229,14 +223,14 @@ def main() -> None:
         (folder / "trip" / "trip.yaml").write_text(given.trip.read_text())
         (folder / "trip" / given.trip.stem).symlink_to(given.trip.with_suffix("").absolute())
         frames = list(Replay(folder / "trip").frames())
-        live, settings = LiveSettings(every_s=given.every), FleetSettings(TripSettings())
+        live, settings = LiveSettings(), FleetSettings(TripSettings())
         several = [
             LiveSuspension(replace(manifest, train=f"{k:06d}"), [model], settings.trips, live)
             for k in range(given.suspensions)
         ]
         source, before_mib = Repeated(frames, given.hours), _memory_mib()
         with History(folder / "fleet.db") as store, Journal(folder / "journal") as journal:
-            results = Results(store, settings, source.publish)
+            results = Results(store, settings)
             monitor = Timed(several, source, journal, results.report)
             monitor.source, source.is_busy = source, monitor.is_busy
             monitor.took_ms, monitor.delays_ms = array("d"), array("d")  # eight bytes each
@@ -247,7 +241,7 @@ def main() -> None:
         n_seconds = source.n_seconds
         size_mib = sum(file.stat().st_size for file in folder.glob("journal*")) / 2**20
     n_all = given.suspensions * n_seconds
-    print(f"{given.suspensions} suspensions, {given.hours:g} h each; {dict(source.counts)}")
+    print(f"{given.suspensions} suspensions, {given.hours:g} h each")
     print(f"frames: {dict(monitor.counts)}")
     print(f"CPU {cpu_s:.1f} s, wall time {wall_s:.1f} s with the making of frames")
     print(

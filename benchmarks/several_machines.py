@@ -41,11 +41,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import postgres_server
 from fault_injection import ended, start
 from live import Template
-from live_frames import Mosquitto
+from live_frames import Mosquitto, Sender
 
 from suspnet.depot.live.broker import Broker
 from suspnet.depot.live.replay import Replay
-from suspnet.depot.live.sinks import MqttSink
 from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import DEFAULT_LIMITS
@@ -134,9 +133,7 @@ def send(port: int, trip: Path, names: Sequence[str], times: float) -> None:
     frames = list(Replay(trip).frames())
     for one in frames:
         by_second.setdefault((one.time_ns - frames[0].time_ns) // 10**9, []).append(Template(one))
-    broker = Broker(port=port)
-    sink = MqttSink(broker, in_flight=1000)
-    sink.open()
+    sender = Sender(Broker(port=port), in_flight=1000)
     places = [f"train {name}, {frames[0].suspension}" for name in names]
     begin_s = time.monotonic()
     for second, templates in sorted(by_second.items()):
@@ -144,11 +141,8 @@ def send(port: int, trip: Path, names: Sequence[str], times: float) -> None:
         for place in places:
             for one in templates:
                 sequence = 10**6 + one.frame.sequence
-                sink._room.acquire()
-                data = one.filled(place.encode(), one.frame.time_ns, sequence)
-                assert sink._client is not None
-                sink._client.publish(broker.topic("frames", place), data, qos=1)
-    sink.close()
+                sender.give(place, one.filled(place.encode(), one.frame.time_ns, sequence))
+    sender.close()
 
 
 def monitors(run: Path, trip: Path, n_monitors: int, n_suspensions: int, times: float) -> None:

@@ -72,10 +72,3 @@ def as_typed(name, arguments, cwd, variables):
     os.environ.update(variables)
     sys.argv = [f"{name}.py", *arguments]
     start(name)
-
-
-def into_pipe(writer, name, arguments, cwd):
-    """Do as `as_typed` does, with standard output into a pipe."""
-    os.dup2(writer.fileno(), 1)
-    writer.close()
-    as_typed(name, arguments, cwd, {})

@@ -1,10 +1,12 @@
 """Frames, and a real broker, for the tests of live sources."""
 
 import os
+import queue
 import shutil
 import signal
 import socket
 import subprocess
+import threading
 import time
 from pathlib import Path
 
@@ -55,6 +57,38 @@ def received(source, n, seconds=ANSWERS_S):
     while len(found) < n and time.monotonic() < last:
         found += source.receive(0.1) or []
     return found
+
+
+class Sender:
+    """An MQTT client that publishes frames; at most `in_flight` are not acknowledged."""
+
+    def __init__(self, broker, in_flight=20):
+        self.broker, self.in_flight = broker, in_flight
+        self.room, answers = threading.Semaphore(in_flight), queue.Queue()
+        self.client = broker.client("")
+        self.client.on_connect = lambda _, __, ___, reason, ____: answers.put(reason)
+        self.client.on_publish = lambda *_: self.room.release()
+        self.client.connect(broker.host, broker.port, 30)
+        self.client.loop_start()
+        reason = answers.get(timeout=ANSWERS_S)
+        if reason.is_failure:
+            self.client.loop_stop()
+            raise ValueError(str(reason))
+
+    def send(self, frame):
+        self.give(frame.suspension, encode(frame))
+
+    def give(self, suspension, data):
+        self.room.acquire()
+        self.client.publish(self.broker.topic(suspension), data, qos=1)
+
+    def close(self):
+        """Wait until the broker has taken all frames, and disconnect."""
+        for _ in range(self.in_flight):
+            self.room.acquire()
+        self.in_flight = 0
+        self.client.disconnect()
+        self.client.loop_stop()
 
 
 class Mosquitto:

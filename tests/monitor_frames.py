@@ -1,6 +1,5 @@
 """Frames of simulated trips for the monitor, and a source that gives them."""
 
-import json
 from collections import Counter
 from concurrent.futures import Executor, Future
 from pathlib import Path
@@ -82,7 +81,6 @@ class ListSource:
         self.frames, self.at_once, self.offset = frames, at_once, offset
         self.pauses, self.is_pause = pauses, False
         self.counts: Counter[str] = Counter()
-        self.published: list[tuple[str, str, dict]] = []
         self.at = self.confirmed = 0
         if offset is not None and offset.exists():
             self.at = self.confirmed = int(offset.read_text())
@@ -104,9 +102,6 @@ class ListSource:
         self.confirmed = self.at if n_frames is None else self.confirmed + n_frames
         if self.offset is not None:
             write_atomically(self.offset, str(self.confirmed))
-
-    def publish(self, kind, suspension, payload):
-        self.published.append((kind, suspension, json.loads(payload)))
 
     def close(self):
         pass

@@ -71,9 +71,8 @@ def rules_file(path, channels, recipients):
 def notify_forever(store, rules, lease_s):
     """Run in a process of its own, as `notify --follow` does, with quick looks."""
     from suspnet.depot.live import notifier
-    from suspnet.depot.live.notification_rules import read_rules
     from suspnet.trains.history import outbox
 
     outbox.LEASE_S, notifier.LOOK_S = lease_s, 0.05
     with History(store) as history:
-        notifier.Notifier(history, read_rules(rules)).run()
+        notifier.Notifier(history, notifier.read_rules(rules)).run()

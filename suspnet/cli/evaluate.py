@@ -22,8 +22,7 @@ from suspnet.cli.folders import (
     worst,
 )
 from suspnet.cli.kinds import board_settings, build, named_runs
-from suspnet.depot.live.notification_rules import read_rules
-from suspnet.depot.live.notifier import Notifier
+from suspnet.depot.live.notifier import Notifier, read_rules
 from suspnet.estimation.checkpoint import load_model
 from suspnet.ground.parameters import Severity
 from suspnet.ground.settings import check_choice

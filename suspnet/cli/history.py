@@ -151,8 +151,7 @@ def _export(store: History, arguments: Namespace) -> str:
 
 def _notify(store: History, arguments: Namespace) -> str:
     """Send what is new once, or until a signal ends the program."""
-    from suspnet.depot.live.notification_rules import read_rules  # with what the channels need
-    from suspnet.depot.live.notifier import Notifier
+    from suspnet.depot.live.notifier import Notifier, read_rules
 
     notifier = Notifier(store, read_rules(arguments.rules))
     if arguments.retry:

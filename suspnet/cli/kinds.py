@@ -43,15 +43,9 @@ KINDS: dict[str, dict[str, str | type]] = {
         "ridge": "suspnet.learning.KernelRidge",
         "svr": "suspnet.learning.SVR",
     },
-    "sink": {
-        "folder": "suspnet.depot.live.sinks.Folder",
-        "mqtt": "suspnet.depot.live.sinks.MqttSink",
-        "stdout": "suspnet.depot.live.sinks.StandardOutput",
-    },
     "source": {
         "folder": "suspnet.depot.live.drop_folder.DropFolder",
         "mqtt": "suspnet.depot.live.mqtt.Mqtt",
-        "stdin": "suspnet.depot.live.source.Pipe",
     },
     # where there is one kind only, a configuration need not name it
     "broker": {"": "suspnet.depot.live.broker.Broker"},
@@ -74,7 +68,6 @@ PARTS: Mapping[str, tuple[str, ...]] = {
     "generator": ("vehicle",),
     "live": ("order",),
     "monitor": ("changes", "trips"),
-    "sink": ("broker",),
     "source": ("broker",),
 }
 """Keys of an object's settings that are objects themselves."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 import copy
 import os
 import re
-from collections.abc import Set as AbstractSet
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +38,6 @@ ALLOWED = frozenset(
     data.speed_half_width data.speed_m_per_s data.step_hz data.track data.window
     monitor.changes monitor.limits monitor.n_reference monitor.reference monitor.trips
     source.broker.ca_file source.broker.port source.broker.tls source.broker.user
-    sink.broker.ca_file sink.broker.port sink.broker.tls sink.broker.user
     """.split()
 )
 """Keys that a file of ``--config-dir`` may set, with all that is below them."""
@@ -126,8 +124,8 @@ def _check_package(package: str | None, group: str) -> None:
 class _TheirFolder(FileConfigSource):
     """A folder of ``--config-dir``, of whose files Hydra gets checked content only."""
 
-    brokers: AbstractSet[str] = frozenset()
-    """Groups whose broker's host the user has named."""
+    has_broker = False
+    """Whether the user has named the broker's host."""
 
     def load_config(self, config_path: str) -> ConfigResult:
         """Return the content of a file; ValueError if it sets more than it may."""
@@ -142,9 +140,9 @@ class _TheirFolder(FileConfigSource):
             if header["package"] is None:
                 settings = {group: settings}
             check_settings(settings)
-            for name in {"sink", "source"} & settings.keys() - self.brokers:
+            if "source" in settings and not self.has_broker:
                 raise ValueError(
-                    f"it sets `{name}.broker`: name the broker's host yourself, {name}.broker.host="
+                    "it sets `source.broker`: name the broker's host yourself, source.broker.host="
                     f"NAME on the command line, or export {HOST_VARIABLE}=NAME"
                 )
         except ValueError as error:
@@ -204,11 +202,8 @@ class CheckedLoader(ConfigLoaderImpl):
             overrides = [*overrides, *presets.of_healthy(values, vehicles, self._vehicle_name)]
         theirs = [source for source in self.get_sources() if isinstance(source, _TheirFolder)]
         for source in theirs:
-            source.brokers = {
-                group
-                for group in ("sink", "source")
-                if f"{group}.broker.host" in typed or os.environ.get(HOST_VARIABLE)
-            }
+            is_named = "source.broker.host" in typed
+            source.has_broker = is_named or bool(os.environ.get(HOST_VARIABLE))
         config = super().load_configuration(
             config_name, overrides, run_mode, from_shell, validate_sweep_overrides
         )

@@ -12,8 +12,7 @@ from suspnet.cli import program
 from suspnet.cli.kinds import build, named_runs
 from suspnet.depot.live.journal import Journal
 from suspnet.depot.live.monitor import Monitor
-from suspnet.depot.live.notification_rules import read_rules
-from suspnet.depot.live.notifier import Notifier
+from suspnet.depot.live.notifier import Notifier, read_rules
 from suspnet.depot.live.results import Results
 from suspnet.depot.live.suspension import read_suspensions
 from suspnet.estimation.checkpoint import load_model
@@ -43,7 +42,7 @@ def main(config: DictConfig) -> None:
         closing(source),
         nullcontext() if rules is None else closing(Notifier(store, rules)) as notifier,
     ):
-        results = Results(store, settings, source.publish)
+        results = Results(store, settings)
         monitor = Monitor(suspensions, source, journal, results.report, live.idle_s)
         n_frames = monitor.resume()
         log.info("%d suspensions; %d frames from %s", len(suspensions), n_frames, config.journal)

@@ -9,36 +9,28 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from suspnet.cli import program
-from suspnet.cli.kinds import build
-from suspnet.depot.live.replay import Pace, Replay
-from suspnet.depot.live.sinks import Sink
+from suspnet.depot.live.replay import FrameFiles, Replay
 from suspnet.ground.progress import bar
 from suspnet.ground.wording import count
 
 
 @program.task
 def main(config: DictConfig) -> None:
-    """Send the frames of all trips of a folder; report counts on standard error."""
+    """Write the frames of all trips of a folder into files; report counts on standard error."""
     start_s = time.monotonic()
-    pace = Pace(config.times)
-    replay = Replay(Path(config.trips), config.frame_s, config.start, config.zone)
-    sink: Sink = build(config, "sink")
-    sink.open()
-    n_frames = n_samples = 0
+    replay = Replay(Path(config.trips), config.frame_s, config.start, config.zone, config.times)
     frames = replay.frames()
     if config.progress:
         frames = bar("frames", items=frames, unit="frame")
-    for frame in frames:
-        pace.wait(frame)
-        sink.send(frame)
-        n_frames, n_samples = n_frames + 1, n_samples + len(frame.samples)
-    sink.close()
-    words = (
+    n_frames = n_samples = 0
+    with FrameFiles(Path(config.out)) as files:
+        for frame in frames:
+            files.add(frame)
+            n_frames, n_samples = n_frames + 1, n_samples + len(frame.samples)
+    print(
         f"{count(n_frames, 'frame')} with {n_samples} samples of {count(replay.n_trips, 'trip')} "
-        f"of {count(replay.n_suspensions, 'suspension')} in {time.monotonic() - start_s:.1f} s"
+        f"of {count(replay.n_suspensions, 'suspension')} in {time.monotonic() - start_s:.1f} s",
+        file=sys.stderr,
     )
-    for reason, n in sink.counts.items():
-        words += f"; {reason}: {n}"
-    print(words, file=sys.stderr)  # standard output may hold the frames
     if replay.problems:
         raise ValueError(f"{len(replay.problems)} trips are missing or incomplete, see above")

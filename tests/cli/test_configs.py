@@ -28,17 +28,17 @@ NAMES = {
         "search",
         "generator",
         "data",
-        "sink",
     )
 }
 NAMES |= {group: list(OmegaConf.load(CONFIGS / file)) for group, (file, _) in TABLES.items()}
-PROGRAM = {"study": "evaluate", "scenario": "simulate", "sink": "replay"}
+PROGRAM = {"study": "evaluate", "scenario": "simulate"}
 """The program of each group that is not train.py's."""
 OPTIONS = [
     (group, name)
     for group, names in NAMES.items()
     for name in names
     if group not in ("experiment", "reading")  # they differ from the defaults on purpose
+    and (group, name) != ("search", "stored")  # nothing is tuned: the grids are all there is
 ]
 OF_THE_OPTION = {"GridSearch", "Protocol", "Scenario", "Vehicle"}
 """Classes whose options differ from each other on purpose."""

@@ -21,7 +21,7 @@ TRAIN = ["model=linear", "data.n_calibrate=null"]
 TRAIN += [one for one in SMALL if not one.startswith("data.n_calibrate")]
 SIMULATE = ["fleet.n_trips=1", "fleet.minutes=2", "progress=false"]
 EVALUATE = ["run=no_run", "trips=no_trips"]
-REPLAY = ["trips=no_trips", "sink=folder"]
+REPLAY = ["trips=no_trips"]
 PROGRAMS = {
     "train": (train, TRAIN),
     "evaluate": (evaluate, EVALUATE),

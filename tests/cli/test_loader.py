@@ -32,7 +32,7 @@ SETTINGS = {
         "source: {then: delete}",
         # who is reached, and who may do what
         "engineers: [Eve]",
-        "sink: {broker: {host: 127.0.0.1, port: 1}}",
+        "source: {broker: {host: 127.0.0.1, port: 1}}",
         "source: {broker: {port: 1, password_env: AWS_SECRET_ACCESS_KEY}}",
         # Hydra's own blocks
         f"hydra: {{callbacks: {{x: {GADGET}}}}}",
@@ -69,7 +69,7 @@ SETTINGS = {
         LAUGHS,
     ],
     "is no configuration: it must hold": ["[a]"],
-    NO_HOST: ["source: {broker: {port: 1}}", "sink: {}"],
+    NO_HOST: ["source: {broker: {port: 1}}"],
 }
 """What a file may not hold that sets keys of the whole configuration, by what is said of it."""
 FILES = {
@@ -239,7 +239,7 @@ def test_no_key_of_a_path_may_be_set_but_that_of_authorities():
             if re.search(r"\[[^\]]*\b(path|URL|file)\b", sentence):
                 paths.add(key.removeprefix("base."))
     allowed = {key for key in paths if any(f"{key}.".startswith(f"{one}.") for one in ALLOWED)}
-    assert {"resume", "store", "sink.folder", "ca_file"} <= paths
+    assert {"resume", "store", "source.folder", "ca_file"} <= paths
     assert allowed == set()
     assert {key for key in ALLOWED if key.startswith("data.")} == data | {"data.kind"}
 

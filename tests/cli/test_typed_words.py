@@ -70,7 +70,7 @@ PROGRAMS = {
     "simulate": (),
     "serve": (),
     "monitor": ("source=folder", "source=mqtt"),
-    "replay": ("sink=folder", "sink=mqtt"),
+    "replay": (),
 }
 
 
@@ -145,7 +145,7 @@ def test_programs_take_and_print_a_path_with_signs(tmp_path):
     checked = typed(check, name, "--no-pictures", "-o", f"{name}/x", cwd=tmp_path)
     (line,) = [line for line in checked.stdout.splitlines() if line.startswith("then run: ")]
     assert read(pasted(line)).healthy == name
-    words = [f"trips={name}", "sink=folder", "sink.folder=417_003", f"hydra.run.dir={name} 2"]
+    words = [f"trips={name}", "out=417_003", f"hydra.run.dir={name} 2"]
     sent = typed(replay, *words, cwd=tmp_path)
     assert (sent.returncode, sent.stdout) == (0, ""), sent.stderr
     assert list((tmp_path / "417_003").iterdir())

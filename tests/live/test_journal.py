@@ -1,11 +1,9 @@
 import sqlite3
-import time
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 
 import pytest
 
-from suspnet.depot.live.journal import READ_AT_ONCE, Journal, JournalError
+from suspnet.depot.live.journal import Journal, JournalError
 
 
 def filled(path):
@@ -13,7 +11,7 @@ def filled(path):
     journal = Journal(path)
     journal.add("A", b"1")
     journal.add("B", b"22")
-    journal.write(journal.batch())
+    journal.write()
     journal.add("A", b"3")
     journal.save("A", b"state")
     journal.add("A", b"4")
@@ -31,7 +29,7 @@ WHOLE = {"A": (b"state", [b"4", b"55"]), "B": (None, [b"22"])}
 
 def test_state_takes_the_place_of_the_frames_before_it(tmp_path):
     with filled(tmp_path / "journal") as journal:
-        journal.write(journal.batch())
+        journal.write()
         assert content(journal) == WHOLE
         assert journal.n_bytes == {"A": 3, "B": 2}
     with Journal(tmp_path / "journal") as journal:
@@ -46,41 +44,23 @@ def test_what_was_not_written_is_not_there(tmp_path):
 
 
 def test_frames_come_back_in_their_order(tmp_path):
-    frames = [str(k).encode() for k in range(3 * READ_AT_ONCE + 7)]
+    frames = [str(k).encode() for k in range(775)]
     with Journal(tmp_path / "journal") as journal:
         for one in frames:
             journal.add("A", one)
-        journal.write(journal.batch())
+        journal.write()
         assert list(journal.frames("A")) == frames
-
-
-def test_close_waits_for_the_batch_that_is_being_written(tmp_path, monkeypatch):
-    monkeypatch.setattr("suspnet.depot.live.journal.WRITTEN_AT_ONCE", 1)  # it takes a while
-    frames = [str(k).encode() for k in range(20_000)]
-    journal = Journal(tmp_path / "journal")
-    for frame in frames:
-        journal.add("A", frame)
-    with ThreadPoolExecutor(1) as writer:
-        batch = journal.batch()
-        written = writer.submit(journal.write, batch)
-        while not written.running():
-            time.sleep(0.001)
-        time.sleep(0.01)
-        journal.close()
-        written.result()
-    with Journal(tmp_path / "journal") as journal:
-        assert content(journal) == {"A": (None, frames)}
 
 
 def test_journal_stays_small_where_states_are_saved(tmp_path):
     path = tmp_path / "journal"
     with Journal(path) as journal:
-        for k in range(200):
+        for k in range(60):
             journal.add("A", bytes(50_000))
             if k % 10 == 9:
                 journal.save("A", bytes(10_000))
-            journal.write(journal.batch())
-    assert path.stat().st_size < 2e6
+            journal.write()
+    assert path.stat().st_size < 1.5e6
 
 
 # failure
@@ -126,10 +106,9 @@ def test_batch_that_a_full_disk_refused_can_be_written_again(tmp_path, monkeypat
         (pages,) = run("PRAGMA page_count").fetchone()
         run(f"PRAGMA max_page_count = {pages}")
         journal.add("B", bytes(10**6))
-        batch = journal.batch()
         with pytest.raises(JournalError, match="cannot be written"):
-            journal.write(batch)
+            journal.write()
         run("PRAGMA max_page_count = 100000")
-        journal.write(batch)
+        journal.write()
         assert content(journal)["A"] == WHOLE["A"]
         assert content(journal)["B"] == (None, [b"22", bytes(10**6)])

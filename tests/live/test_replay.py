@@ -13,7 +13,7 @@ from live_frames import frame
 from trip_fixtures import changed, signal, write_trips
 
 from suspnet.depot.live import replay as replay_module
-from suspnet.depot.live.replay import Pace, Replay, trip_clock, trip_frames
+from suspnet.depot.live.replay import Replay, paced, trip_clock, trip_frames
 from suspnet.trains.recordings.frames import end_ns
 from suspnet.trains.recordings.manifest_files import read_manifest
 from suspnet.trains.recordings.recording import load_recording
@@ -244,18 +244,15 @@ class Clock:
 
 
 def test_pace_is_that_of_the_recording_times_a_factor(monkeypatch):
-    clock, pace = Clock(monkeypatch), Pace(4.0)
-    for k in (0, 1, 2, 10):
-        pace.wait(frame(k))
-    assert clock.slept == [0.0, 0.25, 0.25, 2.0]
-    clock.now_s += 0.6  # the other side was slow
-    for k in (11, 12, 13, 10_000, 10_001):
-        pace.wait(frame(k))
-    assert clock.slept[4:] == [0.0, 0.0, 0.15, 15.0, 0.25]  # a long pause counts as a minute
-    pace.wait(frame(10_000))
-    pace.wait(frame(10_002))
-    Pace(None).wait(frame(0))
-    assert clock.slept[9:] == [0.0, 0.25]
+    clock = Clock(monkeypatch)
+    several = [frame(k) for k in (0, 1, 2, 10, 11, 12, 13, 10_000, 10_001, 10_000, 10_002)]
+    for k, one in enumerate(paced(several, 4.0)):
+        assert one is several[k]
+        if k == 3:
+            clock.now_s += 0.6  # the other side was slow
+    assert clock.slept[:4] == [0.0, 0.25, 0.25, 2.0]
+    # a long pause counts as a minute
+    assert clock.slept[4:] == [0.0, 0.0, 0.15, 15.0, 0.25, 0.0, 0.25]
 
 
 @pytest.mark.parametrize(
@@ -265,7 +262,7 @@ def test_pace_is_that_of_the_recording_times_a_factor(monkeypatch):
         (lambda folder: Replay(folder, start="soon"), "`start` must be a date and time"),
         (lambda folder: Replay(folder, zone="Moon"), "the time zone 'Moon' is not known"),
         (lambda folder: Replay(folder / "x"), "there is no folder"),
-        (lambda _: Pace(0), "`times` must be"),
+        (lambda folder: Replay(folder, times=0), "`times` must be"),
     ],
 )
 def test_settings_out_of_range_are_refused(tmp_path, make, message):

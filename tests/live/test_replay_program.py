@@ -1,22 +1,13 @@
-"""suspnet-replay from the command line, into standard output, a folder and a broker."""
-
-import io
-import multiprocessing
-import os
-import signal
-import sys
+"""suspnet-replay from the command line, into a folder."""
 
 import pytest
 from cli_runner import typed
-from forked import into_pipe, run_apart, started
 from live_frames import frame
 from trip_fixtures import changed, write_trips
 
 from suspnet.cli import replay
-from suspnet.depot.live.drop_folder import DropFolder
-from suspnet.depot.live.replay import Replay
-from suspnet.depot.live.sinks import Folder, StandardOutput
-from suspnet.depot.live.source import Splitter
+from suspnet.depot.live.drop_folder import DropFolder, split
+from suspnet.depot.live.replay import FrameFiles, Replay
 from suspnet.trains.recordings.frames import decode, encode
 
 
@@ -34,74 +25,44 @@ def run(trip, *arguments, cwd):
     return typed(replay, f"trips={trip.parent}", "progress=false", *arguments, cwd=cwd)
 
 
-def test_standard_output_holds_frames_and_nothing_else(trip, expected, tmp_path):
-    with started(replay, f"trips={trip.parent}", "progress=false", cwd=tmp_path) as (
-        process,
-        out,
-        errors,
-    ):
-        process.join(60)
-        assert process.exitcode == 0
-        assert out.read_bytes() == b"".join(expected)
-        words = errors.read_text()
-    assert f"{len(expected)} frames with " in words
-    assert " of 1 trip of 1 suspension in " in words
-
-
-def test_reader_that_ends_ends_the_replay(trip, tmp_path):
-    reader, writer = multiprocessing.Pipe(duplex=False)
-    arguments = [f"trips={trip.parent}", "progress=false"]
-    with run_apart(into_pipe, writer, "replay", arguments, tmp_path) as (process, out, words):
-        writer.close()
-        assert os.read(reader.fileno(), 1000)
-        reader.close()
-        process.join(60)
-        assert process.exitcode in (141, -signal.SIGPIPE)
-        assert (out.read_bytes(), words.read_text()) == (b"", "")
-
-
 def test_folder_is_read_by_the_source(trip, expected, tmp_path):
-    done = run(trip, "sink=folder", "sink.folder=drop", "sink.file_s=7", cwd=tmp_path)
+    done = run(trip, "out=drop", cwd=tmp_path)
     assert (done.returncode, done.stdout) == (0, ""), done.stderr
+    assert f"{len(expected)} frames with " in done.stderr
+    assert " of 1 trip of 1 suspension in " in done.stderr
     files = sorted((tmp_path / "drop").iterdir())
     assert [file.name for file in files[:2]] == ["000000001.frames", "000000002.frames"]
-    assert len(files) == 10
+    assert len(files) == 7
     source, found = DropFolder(tmp_path / "drop", once=True), []
     source.subscribe([])
     while (part := source.receive(1.0)) is not None:
         found += part
         source.confirm()
     assert found == expected
-    again = Folder(tmp_path / "drop")
-    again.open()
-    again.send(frame())
-    again.close()
-    assert (tmp_path / "drop" / "000000011.frames").read_bytes() == encode(frame())
+    with FrameFiles(tmp_path / "drop") as again:
+        again.add(frame())
+    assert (tmp_path / "drop" / "000000008.frames").read_bytes() == encode(frame())
 
 
 def test_faulty_trip_is_told_and_the_exit_code_is_one(trip, tmp_path):
     (tmp_path / "trips").mkdir()
     changed(trip, tmp_path / "trips")
     (tmp_path / "trips" / "bad.yaml").write_text("suspension: simulated\n")
-    options = ("progress=false", "sink=folder", "sink.folder=drop")
-    done = typed(replay, f"trips={tmp_path / 'trips'}", *options, cwd=tmp_path)
+    done = typed(replay, f"trips={tmp_path / 'trips'}", "progress=false", "out=drop", cwd=tmp_path)
     assert done.returncode == 1
     assert "error: 1 trips are missing or incomplete, see above" in done.stderr
-    splitter = Splitter()
     data = b"".join(file.read_bytes() for file in sorted((tmp_path / "drop").iterdir()))
-    assert {decode(one).suspension for one in splitter.push(data)} == {"simulated"}
+    assert {decode(one).suspension for one in split(data)[0]} == {"simulated"}
 
 
 @pytest.mark.representatives(3)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["sink=folder"], "Missing mandatory value: sink.folder"),
-        (["sink=mqtt", "sink.broker.port=1"], "no broker: Connection refused"),
-        (["sink=moon"], "sink/moon"),
-        (["times=0"], "`times` must be"),
-        (["start=soon"], "`start` must be a date and time"),
-        (["sink=mqtt", "+sink.broker._target_=os.system"], "is no setting of broker"),
+        ([], "Missing mandatory value: out"),
+        (["out=a", "times=0"], "`times` must be"),
+        (["out=a", "start=soon"], "`start` must be a date and time"),
+        (["out=a", "sink=mqtt"], "sink"),
     ],
 )
 def test_mistake_gets_one_line(trip, tmp_path, arguments, message):
@@ -109,13 +70,3 @@ def test_mistake_gets_one_line(trip, tmp_path, arguments, message):
     assert done.returncode == 1
     assert message in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
-
-
-def test_terminal_gets_no_frames(monkeypatch):
-    class Terminal(io.StringIO):
-        def isatty(self):
-            return True
-
-    monkeypatch.setattr(sys, "stdout", Terminal())
-    with pytest.raises(ValueError, match="frames are binary"):
-        StandardOutput().open()

@@ -135,13 +135,10 @@ def test_frame_is_divided_at_the_border(tmp_path):
     stream.add(frame(0.0, 0))
     stream.add(frame(160.0, 1))
     stream.add(frame(199.98, 2))
-    (one,) = stream.open
-    other = one.rest
-    assert one.n_frames == 3
-    assert (one.end_ns, other.begin_ns) == (ZERO_NS + 2 * 10**11,) * 2
-    early = replace(frame(400.0, 3), time_ns=ZERO_NS + 400 * 10**9 - 1)
-    stream.add(early)
-    assert stream.open[-1].rest.rest.begin_ns == ZERO_NS + 400 * 10**9
+    stream.add(replace(frame(400.0, 3), time_ns=ZERO_NS + 400 * 10**9 - 1))
+    (one,) = stream.close()
+    assert (one.end_ns, one.rest.begin_ns) == (ZERO_NS + 2 * 10**11,) * 2
+    assert one.rest.rest.begin_ns == ZERO_NS + 400 * 10**9
 
 
 def test_section_is_over_when_enough_frames_have_passed_it_and_its_rest_is_long(tmp_path):
@@ -179,7 +176,7 @@ def test_begin_does_not_depend_on_the_order_of_frames(tmp_path, order):
         stream.add(frame(0.7 * k, k))
     stream.add(frame(150.0, 3))
     stream.add(frame(200.5, 4))
-    (one,) = stream.open
+    (one,) = stream.close()
     assert (one.begin_ns, one.rest.begin_ns) == (ZERO_NS, ZERO_NS + 200_500_000_000)
 
 
@@ -215,18 +212,28 @@ def test_ten_minutes_between_two_stops_are_in_one_section(tmp_path, begin_s, lag
     assert again == [400 * k for k in range(len(again))]  # while it stands, from a third on
 
 
-def test_joined_rest_survives_a_restart(tmp_path):
+@pytest.mark.parametrize("n_more", [0, 1])
+def test_joined_rest_survives_a_restart_and_may_grow(tmp_path, n_more):
     stream = sections(tmp_path)
     for k in range(30):
         stream.add(frame(10.0 * k, k))
     stream = gone_on(stream, sections(tmp_path))
-    (one,) = stream.open
-    assert one.rest is not None
-    assert stream.growing == []
-    stream.add(frame(320.0, 30))
-    assert len(stream.open) == 2
-    assert [o.begin_ns for o in stream.growing] == [ZERO_NS + 200 * 10**9]
-    assert one.rest is None
+    for k in range(n_more):
+        stream.add(frame(320.0, 30 + k))
+    found = stream.close()
+    assert [one.begin_ns - ZERO_NS for one in found] == [0, 200 * 10**9][: 1 + n_more]
+    assert (found[0].rest is None) == bool(n_more)
+
+
+def test_stream_that_has_ended_may_go_on(tmp_path):
+    stream = sections(tmp_path)
+    for k in range(4):
+        stream.add(frame(20.0 * k, k))
+    (one,) = stream.close()
+    assert taken(stream, encode(frame(50.0, 4))) == "late"
+    stream.add(frame(60.04, 5))  # the next sample
+    (other,) = stream.close()
+    assert (one.end_ns, other.begin_ns) == (ZERO_NS + 60_040_000_000,) * 2
 
 
 def test_clock_that_was_far_ahead_and_is_right_again_is_believed(tmp_path):
@@ -247,7 +254,7 @@ def test_sections_of_wrong_times_keep_out_no_right_one(tmp_path):
     for k in range(300):
         assert taken(stream, encode(frame(k, 1000 + k))) == ""
         stream.over()
-        assert len(stream.open) <= MAX_OPEN
+        assert len(stream.state()["open"]) <= MAX_OPEN
     assert sum(one.n_frames for one in stream.close() if one.begin_ns < ZERO_NS + 10**12) >= 100
 
 
@@ -259,7 +266,7 @@ def test_frames_of_wrong_times_close_nothing_and_are_bounded(tmp_path):
             wrong = frame(1e6 * k, 1000 + k)
             assert taken(stream, encode(wrong)) == ""
         assert stream.over() == []
-        assert len(stream.open) <= MAX_OPEN
+        assert len(stream.state()["open"]) <= MAX_OPEN
     (first, *_) = stream.close()
     assert first.begin_ns == ZERO_NS
     assert first.n_frames == 200

@@ -59,15 +59,6 @@ def test_number_of_values_is_bounded_and_wrong_times_push_out_no_right_ones():
     assert known[:200] == [(10 * k * SECOND, 100.0 + k) for k in range(200)]
 
 
-def test_mileage_of_every_second_begins_with_that_of_the_section():
-    slow = SlowValues(0.0, None)
-    for k in range(1300):
-        slow.take(value("mileage", k, 100.0 + 0.07 * k))
-    assert within(slow, 0, 1200)[0] == 100.0
-    slow.pass_section(1200 * SECOND, 184.0)
-    assert within(slow, 1200, 2400)[0] == pytest.approx(184.0)
-
-
 @pytest.mark.parametrize(
     ("frame", "reason"),
     [

@@ -74,7 +74,7 @@ class Broker:
             object.__setattr__(self, "host", os.environ.get(HOST_VARIABLE) or LOCAL)
         if not isinstance(self.host, str) or not HOST.fullmatch(self.host):
             raise ValueError(f"`host` must be a name or an address, got {self.host!r}")
-        if not is_secret_variable(self.password_env):
+        if not SECRET_VARIABLE.fullmatch(str(self.password_env)):
             raise ValueError(
                 "`password_env` must be the name of an environment variable that starts with "
                 f"SUSPNET_, got {self.password_env!r}"
@@ -89,13 +89,13 @@ class Broker:
         if any((self.ca_file, self.cert_file, self.key_file)) and not self.tls:
             raise ValueError("`ca_file`, `cert_file` and `key_file` are for tls=true")
 
-    def topic(self, kind: str, suspension: str) -> str:
-        """Return the topic of a suspension's "frames", "estimates" or "alarms".
+    def topic(self, suspension: str) -> str:
+        """Return the topic of a suspension's frames.
 
-        >>> Broker().topic("frames", "train 1, car 2")
+        >>> Broker().topic("train 1, car 2")
         'suspnet/frames/train%201%2C%20car%202'
         """
-        return f"{self.prefix}/{kind}/{quote(suspension, safe='')}"
+        return f"{self.prefix}/frames/{quote(suspension, safe='')}"
 
     @property
     def where(self) -> str:
@@ -125,18 +125,13 @@ class Broker:
         return client
 
 
-def is_secret_variable(name: object) -> bool:
-    """Return whether an environment variable of this name may hold a secret."""
-    return isinstance(name, str) and SECRET_VARIABLE.fullmatch(name) is not None
-
-
 def secret(variable: str, owner: str) -> str:
     """Return a password or key: the environment variable's value, or the content of a file.
 
     The variable with ``_FILE`` after its name holds the path of that file. ValueError, which names
     the `owner` of the secret, is raised if both are missing or the name is not allowed.
     """
-    if not is_secret_variable(variable):
+    if not SECRET_VARIABLE.fullmatch(str(variable)):
         raise ValueError(
             "a secret is in an environment variable whose name starts with SUSPNET_, "
             f"got {variable!r}"

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from email.message import EmailMessage
 from email.utils import formatdate
 from string import punctuation
-from typing import Any, Literal, Protocol
+from typing import Literal
 from urllib.parse import quote, urlsplit
 
 from suspnet.depot.live.broker import secret
@@ -32,7 +32,7 @@ from suspnet.runs.language import speaking
 from suspnet.trains.history.outbox import Message
 from suspnet.trains.pages.messages import subject, text
 
-DEADLINE_S, CONNECT_S = 60.0, 10.0
+DEADLINE_S, CONNECT_S = 60.0, 20.0
 """Longest time until a server has accepted a message, and until it answers at all, [s]."""
 ADDRESS = re.compile(r"[^@\s<>,;:\"()\[\]\\]+@[A-Za-z0-9.-]+")  # an e-mail address without a name
 
@@ -43,16 +43,6 @@ class DeliveryError(Exception):
 
 class AddressError(DeliveryError):
     """A server did not accept one address; it may accept others."""
-
-
-class NotificationChannel(Protocol):
-    """Interface of a channel."""
-
-    def check(self, addresses: tuple[str, ...]) -> None:
-        """Raise ValueError or OSError if a secret or an address is missing or wrong."""
-
-    def send(self, message: Message) -> None:
-        """Return once the message is accepted; DeliveryError if it is not."""
 
 
 @dataclass(frozen=True)
@@ -76,8 +66,6 @@ class Webhook:
     def check(self, addresses: tuple[str, ...]) -> None:
         """Raise ValueError without a key of at least 16 bytes."""
         self._key()
-        if addresses:
-            raise ValueError("`to` is for channels of the kind email")
 
     def send(self, message: Message) -> None:
         """Post a message; a redirection is not followed."""
@@ -93,14 +81,15 @@ class Webhook:
         }
         url = urlsplit(self.url)
         target = (url.path or "/") + (f"?{url.query}" if url.query else "")
-        host, is_tls = url.hostname or "", url.scheme == "https"
-        context = ssl.create_default_context() if is_tls else None
+        host = url.hostname or ""
+        client = http.client.HTTPConnection(host, url.port, timeout=CONNECT_S)
+        if url.scheme == "https":
+            context = ssl.create_default_context()
+            client = http.client.HTTPSConnection(host, url.port, timeout=CONNECT_S, context=context)
         try:
-            with (
-                _connected(host, url.port or (443 if is_tls else 80), context) as connection,
-                closing(http.client.HTTPConnection(url.netloc)) as client,
-            ):
-                client.sock = connection
+            with closing(client), _deadline(client, host):
+                client.connect()
+                client.sock.settimeout(DEADLINE_S)
                 client.request("POST", quote(target, safe=punctuation), body, headers)
                 # the content of the answer is not read: it may be of any size, or never end
                 status = client.getresponse().status
@@ -160,19 +149,22 @@ class Email:
         """Send one mail to one address."""
         mail, is_accepted = self._mail(message), False
         context = ssl.create_default_context()
+        server = smtplib.SMTP(timeout=CONNECT_S)
+        if self.security == "tls":
+            server = smtplib.SMTP_SSL(timeout=CONNECT_S, context=context)
+        server._host = self.host  # type: ignore[attr-defined]  # that certificates must be of
         try:
-            with (
-                _connected(
-                    self.host, self.port, context if self.security == "tls" else None
-                ) as connection,
-                _Server(connection, self.host, self.port) as server,
-            ):
+            with _deadline(server, self.host), closing(server):
+                server.connect(self.host, self.port)
+                assert server.sock is not None
+                server.sock.settimeout(DEADLINE_S)
                 if self.security == "starttls":
                     server.starttls(context=context)
                 if self.user is not None:
                     server.login(self.user, secret(self.password_env, "the mail server"))
                 server.send_message(mail)
                 is_accepted = True
+                server.quit()
         except smtplib.SMTPRecipientsRefused:
             raise AddressError(f"{self.host}: the address is refused") from None
         except (DeliveryError, OSError, ValueError) as error:
@@ -196,42 +188,31 @@ class Email:
         return mail
 
 
-class _Server(smtplib.SMTP):
-    """An SMTP server at a socket that is connected to it."""
-
-    def __init__(self, connection: socket.socket, host: str, port: int) -> None:
-        self._connection = connection
-        super().__init__(host, port)
-
-    def _get_socket(self, *_: Any) -> socket.socket:
-        return self._connection
-
-
 @contextmanager
-def _connected(host: str, port: int, context: ssl.SSLContext | None) -> Iterator[socket.socket]:
-    """Connect to a server, by TLS if there is a context, until the deadline of a message.
+def _deadline(client: http.client.HTTPConnection | smtplib.SMTP, host: str) -> Iterator[None]:
+    """End a client's connection at the deadline of a message, and raise DeliveryError then.
 
-    The connection ends at the deadline, and DeliveryError is raised: a timeout of each answer would
-    never end for a server that sends a byte now and then.
+    A timeout of each answer would never end for a server that sends a byte now and then.
     """
-    is_late, end_s = threading.Event(), time.monotonic() + DEADLINE_S
-    try:
-        with socket.create_connection((host, port), CONNECT_S) as plain, plain.dup() as same:
-            remaining_s = max(end_s - time.monotonic(), 0.01)
-            plain.settimeout(remaining_s)  # of a handshake as a whole
+    has_ended, is_late = threading.Event(), threading.Event()
 
-            def end() -> None:
-                is_late.set()
+    def watch() -> None:
+        wait_s = DEADLINE_S
+        while not has_ended.wait(wait_s):  # ends: with the connection, which may be made just now
+            is_late.set()
+            wait_s = 0.1
+            if client.sock is not None:
                 with suppress(OSError):  # it is closed already
-                    same.shutdown(socket.SHUT_RDWR)
+                    client.sock.shutdown(socket.SHUT_RDWR)
 
-            timer = threading.Timer(remaining_s, end)
-            timer.start()
-            try:
-                yield context.wrap_socket(plain, server_hostname=host) if context else plain
-            finally:
-                timer.cancel()
+    thread = threading.Thread(target=watch)
+    thread.start()
+    try:
+        yield
     except (http.client.HTTPException, OSError, ValueError):
         if is_late.is_set():
             raise DeliveryError(f"{host}: no answer within {DEADLINE_S:g} s") from None
         raise
+    finally:
+        has_ended.set()
+        thread.join()

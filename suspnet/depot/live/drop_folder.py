@@ -1,36 +1,42 @@
-"""A folder into which loggers drop files of frames; results as lines of JSON on standard output."""
+"""A folder into which loggers drop files of frames."""
 
 from __future__ import annotations
 
 import logging
 import os
+import re
 import stat
 import time
 from collections import Counter, deque
-from collections.abc import Generator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import BinaryIO, ClassVar, Literal
+from typing import BinaryIO, ClassVar, Literal, NamedTuple
 
 import pyarrow as pa
 
-from suspnet.depot.live.source import CONTINUATION, ResultKind, Splitter, print_result
 from suspnet.ground.ledger import free_name
 from suspnet.ground.settings import Setting, check_values
+from suspnet.ground.storage import DamagedFileError, open_plain
 from suspnet.trains.recordings.frames import MOST_BYTES, FrameError, decode
 
 log = logging.getLogger(__name__)
 TAKEN = "taken"  # subfolder for files that were read
-MAX_LOST = 4 * MOST_BYTES  # a file is abandoned after this many bytes in a row without a frame
+MAX_FILE_BYTES = 2**26  # of a file, which is read at once
+MAX_LOST = 2 * MOST_BYTES  # a file is abandoned after this many bytes in a row without a frame
 MAX_REPORTED = 100  # files that the log names as left in place
-PIECE_BYTES, BATCH_BYTES = 2**18, 2**23  # read at once, and returned by one `receive`
 HEAD_BYTES = 2**12  # bytes at the start of a file that hold the time of its first frame
 UNFINISHED = (".part", ".tmp")  # suffixes of files that are still being written
+END = b"\xff\xff\xff\xff" + bytes(4)
+BEGIN = re.compile(
+    rb"\xff\xff\xff\xff(?!\x00\x00)[" + re.escape(bytes(range(0, 256, 8))) + rb"].\x00\x00",
+    re.DOTALL,
+)
+"""Start of a message of Arrow's IPC format: a mark, and a length of less than 64 KiB, a multiple of
+8. A frame is a schema, one record batch and ``END``."""
 
 
-@dataclass(frozen=True)
-class _File:
-    """A file as it was when it was opened; `n_returned` frames were returned up to its last one."""
+class _File(NamedTuple):
+    """A file as it was when it was read; `n_returned` frames were returned up to its last one."""
 
     path: Path
     identity: tuple[int, int, int]
@@ -41,13 +47,14 @@ class DropFolder:
     """Source of the frames in files, of one or more frames each.
 
     A file is written under a name that starts with "." or ends with ".part" or ".tmp", and then
-    renamed; no name is used twice. Files are read in pieces, in the order of the times of their
-    first frames. Once all frames of a file are confirmed, it moves to ``taken/`` or is deleted, if
-    it holds only valid frames of the suspensions monitored here. All other files stay in place and
-    are reported once: links, FIFOs and files that do not start with a frame are not read; files
-    that hold anything else or are cut off are read, and their frames returned.
+    renamed; no name is used twice. Files are read in the order of the times of their first frames.
+    Once all frames of a file are confirmed, it moves to ``taken/`` or is deleted, if it holds only
+    valid frames of the suspensions monitored here. All other files stay in place and are reported
+    once: links, FIFOs, files above 64 MiB and files that do not start with a frame are not read;
+    files that hold anything else or are cut off are read, and their frames returned.
 
-    Memory is bounded by one batch of frames, 8 MiB, one frame, and the names of the files.
+    Memory is bounded by one file and the names of the others. `counts` has the files "left" in
+    place and the times that the folder was "unreachable".
     """
 
     settings: ClassVar[Mapping[str, Setting]] = {
@@ -66,19 +73,13 @@ class DropFolder:
     ) -> None:
         check_values(DropFolder, then=then, poll_s=poll_s, once=once)
         self.folder, self.then, self.poll_s, self.once = Path(folder), then, poll_s, once
-        self._counts: Counter[str] = Counter()
+        self.counts: Counter[str] = Counter()
         self._suspensions: frozenset[str] = frozenset()
         self._waiting: deque[Path] = deque()
         self._seen: set[str] = set()  # names of files that are not new
         self._read: deque[_File] = deque()
         self._n_returned = self._n_confirmed = 0
         self._next_look_s = 0.0
-        self._reading: Generator[list[bytes], None, None] | None = None
-
-    @property
-    def counts(self) -> Counter[str]:
-        """`Splitter.counts`, and files "left", "vanished", "unreadable" or "replaced"."""
-        return Counter(self._counts)
 
     def subscribe(self, suspensions: Sequence[str]) -> Sequence[str]:
         """Check the folder; all suspensions belong to this process. See `FrameSource`."""
@@ -89,38 +90,25 @@ class DropFolder:
         return suspensions
 
     def receive(self, timeout_s: float) -> list[bytes] | None:
-        """Return the next frames of the files; None after the last one if `once`.
+        """Return the frames of the next file; None after the last one if `once`.
 
         See `FrameSource`.
         """
-        deadline = time.monotonic() + timeout_s
-        frames: list[bytes] = []
-        n_bytes = 0
-        while n_bytes < BATCH_BYTES:  # ends: each round reads a piece, or waits until the deadline
-            if self._reading is None and not self._waiting:
-                if frames:  # better a small batch now than a wait for new files
-                    break
-                now_s = time.monotonic()
-                if self.once or now_s >= self._next_look_s:
-                    self.look()
-                    self._next_look_s = now_s + self.poll_s
-                if not self._waiting:
-                    if self.once or now_s >= deadline:
-                        return None if self.once else []
-                    time.sleep(max(0.0, min(self._next_look_s, deadline) - now_s))
-                    continue
-            if self._reading is None:
-                self._reading = self._frames(self._waiting.popleft())
-            piece = next(self._reading, None)
-            if piece is None:
-                self._reading = None
+        deadline_s = time.monotonic() + timeout_s
+        while True:  # ends: with a file that has frames, or at the deadline
+            now_s = time.monotonic()
+            if not self._waiting and (self.once or now_s >= self._next_look_s):
+                self._look()
+                self._next_look_s = now_s + self.poll_s
+            if self._waiting:
+                if frames := self._frames(self._waiting.popleft()):
+                    return frames
+            elif self.once:
+                return None
             else:
-                frames += piece
-                self._n_returned += len(piece)
-                n_bytes += sum(map(len, piece))
-            if time.monotonic() > deadline:
-                break
-        return frames
+                time.sleep(max(0.0, min(self._next_look_s, deadline_s) - now_s))
+            if time.monotonic() >= deadline_s:
+                return []
 
     def confirm(self, n_frames: int | None = None) -> None:
         """Move or delete the files whose frames are all confirmed. See `FrameSource`."""
@@ -130,21 +118,14 @@ class DropFolder:
             try:
                 self._put_away(file)
             except OSError as error:
-                self._give_up(file.path, error)
+                self._leave(file.path, str(error.strerror))
             else:
                 self._seen.discard(file.path.name)
 
-    def publish(self, kind: ResultKind, suspension: str, message: bytes) -> None:
-        """Write a line of JSON to standard output."""
-        print_result(kind, suspension, message)
-
     def close(self) -> None:
-        """Close the file that is being read."""
-        if self._reading is not None:
-            self._reading.close()
-            self._reading = None
+        """Do nothing: no file is open."""
 
-    def look(self) -> None:
+    def _look(self) -> None:
         """Queue the new files of the folder by the time of their first frames."""
         try:
             with os.scandir(self.folder) as entries:
@@ -156,7 +137,9 @@ class DropFolder:
                     and not entry.name.endswith(UNFINISHED)
                 }
         except OSError as error:
-            self._give_up(self.folder, error)
+            if not self.counts["unreachable"]:
+                log.warning("%r: %s; it is tried again", str(self.folder), error.strerror)
+            self.counts["unreachable"] += 1
             return
         self._seen &= is_file.keys() | {file.path.name for file in self._read}
         new = is_file.keys() - self._seen
@@ -167,38 +150,28 @@ class DropFolder:
         plain = (self.folder / name for name in new if is_file[name])
         self._waiting.extend(sorted(plain, key=_first_time))
 
-    def _frames(self, path: Path) -> Generator[list[bytes], None, None]:
-        splitter, problem, last = Splitter(), "", list[bytes]()
+    def _frames(self, path: Path) -> list[bytes]:
+        """Return the frames of a file, which is noted to be put away, or reported."""
         try:
             with _opened(path) as file:
-                identity = _identity(os.fstat(file.fileno()))
-                data = file.read(PIECE_BYTES)
-                if not data.startswith(CONTINUATION):  # the rest of the file is not read
-                    data, problem = b"", "it does not start with a frame"
-                n_lost = 0
-                while data and n_lost <= MAX_LOST:
-                    frames = splitter.push(data)
-                    problem = problem or self._problem(frames)
-                    n_lost = 0 if frames else n_lost + len(data)
-                    # of a growing file only the initial size is read
-                    data = file.read(PIECE_BYTES) if file.tell() < identity[2] else b""
-                    if data:
-                        yield frames
-                    else:
-                        last = frames
-        except OSError as error:
-            self._give_up(path, error)
-            self._counts += splitter.counts
-            return
-        last += splitter.finish()
-        problem = problem or self._problem(last)
-        self._counts += splitter.counts
-        if problem or splitter.counts:
-            self._leave(path, problem or f"it holds not only frames ({', '.join(splitter.counts)})")
-        else:
-            # all frames of the file are returned once `last` is
-            self._read.append(_File(path, identity, self._n_returned + len(last)))
-        yield last
+                status = os.fstat(file.fileno())
+                if status.st_size > MAX_FILE_BYTES:
+                    self._leave(path, f"it has more than {MAX_FILE_BYTES >> 20} MiB")
+                    return []
+                data = file.read(status.st_size)
+        except (DamagedFileError, OSError) as error:
+            self._leave(path, str(getattr(error, "strerror", None) or error))
+            return []
+        if not BEGIN.match(data):
+            self._leave(path, "it does not start with a frame")
+            return []
+        frames, problem = split(data)
+        if problem := problem or self._problem(frames):
+            self._leave(path, problem)
+        self._n_returned += len(frames)
+        if not problem:
+            self._read.append(_File(path, _identity(status), self._n_returned))
+        return frames
 
     def _problem(self, frames: list[bytes]) -> str:
         """Return why some encoded frame is not of a monitored suspension; empty if all are."""
@@ -212,10 +185,8 @@ class DropFolder:
         return ""
 
     def _put_away(self, file: _File) -> None:
-        """Move or delete a file, unless another file has its name by now."""
-        now = os.lstat(file.path)
-        if not stat.S_ISREG(now.st_mode) or _identity(now) != file.identity:
-            self._counts["replaced"] += 1
+        """Move or delete a file, unless another file has its name by now: that is read anew."""
+        if _identity(os.lstat(file.path)) != file.identity:
             return
         if self.then == "delete":
             file.path.unlink()
@@ -233,26 +204,59 @@ class DropFolder:
 
     def _leave(self, path: Path, reason: str) -> None:
         """Count and report a file that stays in place."""
-        self._counts["left"] += 1
-        if self._counts["left"] <= MAX_REPORTED:
+        self.counts["left"] += 1
+        if self.counts["left"] <= MAX_REPORTED:
             log.warning("%r stays in place: %s", str(path), reason)
 
-    def _give_up(self, path: Path, error: OSError) -> None:
-        """Count a file that cannot be read or moved; it is not tried again while it exists."""
-        reason = "vanished" if isinstance(error, FileNotFoundError) else "unreadable"
-        if reason == "unreadable" and not self._counts[reason]:
-            log.warning("%r: %s; further ones are only counted", str(path), error.strerror)
-        self._counts[reason] += 1
+
+def split(data: bytes) -> tuple[list[bytes], str]:
+    """Return the encoded frames in a file's content, and why it holds anything else.
+
+    After other bytes the frames go on where the next one starts, even inside a frame that never
+    ended. The content of frames is not checked: `decode` does that.
+
+    >>> import numpy as np
+    >>> from suspnet.trains.recordings.frames import Frame, encode
+    >>> frame = encode(Frame("car 2", "body", 7, 0, 100.0, "g", np.zeros(100)))
+    >>> frames, problem = split(frame[:50] + frame)
+    >>> frames == [frame], problem
+    (True, 'it is damaged at byte 0')
+    """
+    frames: list[bytes] = []
+    problem, at, last = "", 0, 0
+    while at < len(data) and at - last <= MAX_LOST:  # ends: each round advances by a byte or more
+        if end := _end(data, at):
+            frames.append(data[at:end])
+            at = last = end
+            continue
+        problem = problem or f"it is damaged at byte {at}"
+        begin = BEGIN.search(data, at + 1)
+        at = len(data) if begin is None else begin.start()
+    return frames, problem
+
+
+def _end(data: bytes, start: int) -> int:
+    """Return the end of the frame at `start`; 0 if there is none."""
+    reader = pa.BufferReader(memoryview(data)[start : start + MOST_BYTES])
+    try:
+        for kind in ("schema", "record batch"):
+            if not BEGIN.match(data, start + reader.tell()):
+                return 0
+            if pa.ipc.read_message(reader).type != kind:
+                return 0
+    except (pa.ArrowException, OSError, EOFError):  # damaged, or longer than what follows
+        return 0
+    end = start + int(reader.tell()) + len(END)
+    is_whole = data[end - len(END) : end] == END and end - start <= MOST_BYTES
+    return end if is_whole else 0
 
 
 def _opened(path: Path) -> BinaryIO:
-    """Open a regular file, following no link and not waiting for the writer of a FIFO."""
-    # Windows has neither of these flags
-    flags = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-    file = os.fdopen(os.open(path, os.O_RDONLY | flags), "rb")
-    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+    """Open a regular file that no link leads to."""
+    file = open_plain(path)
+    if _identity(os.lstat(path)) != _identity(os.fstat(file.fileno())):
         file.close()
-        raise OSError(22, "not a regular file", str(path))
+        raise OSError(22, "it is a link, or was replaced", str(path))
     return file
 
 

@@ -12,10 +12,8 @@ from __future__ import annotations
 
 import json
 import sqlite3
-import threading
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +28,6 @@ APPLICATION_ID = 0x7375736A  # SQLite application id, by which a journal is reco
 MARKER = "SELECT 1 FROM format WHERE name LIKE 'suspnet-journal-%'"
 """Query that returns a row for any journal."""
 RANGE = 2**40  # frame numbers of a suspension: enough for 8,000 years at four frames a second
-READ_AT_ONCE = 256  # frames
-WRITTEN_AT_ONCE = 32  # frames of one statement, during which other threads can run
 PAGE_BYTES = 2**14  # a frame of 1 s takes one or two pages
 
 
@@ -39,22 +35,10 @@ class JournalError(ValueError):
     """The journal cannot be used: it is another file, or another monitor has it open."""
 
 
-@dataclass(frozen=True)
-class Batch:
-    """Frames and states since the previous batch, by suspension, to be written together."""
-
-    new: list[tuple[int, str]] = field(default_factory=list)  # new suspensions: number, name
-    states: dict[str, bytes] = field(default_factory=dict)  # each replaces the stored frames
-    frames: dict[str, list[tuple[int, bytes]]] = field(default_factory=dict)  # newer than its state
-
-    def __bool__(self) -> bool:
-        return bool(self.states or self.frames)
-
-
 class Journal:
     """States and frames of the suspensions of one process; a context manager.
 
-    One thread may write a batch while another adds to the next one. `n_bytes` is the size of the
+    What is added and saved is on the disk after the next `write`. `n_bytes` is the size of the
     frames of each suspension since its state. JournalError is raised if `path` is another file or
     is open in another process; a missing file is created.
     """
@@ -64,17 +48,17 @@ class Journal:
         self.n_bytes: Counter[str] = Counter()
         self._numbers: dict[str, int] = {}
         self._last: dict[str, int] = {}
-        self._batch = Batch()
+        # what is not written yet; a state takes the place of all earlier frames of its suspension
+        self._new: list[tuple[int, str]] = []
+        self._states: dict[str, bytes] = {}
+        self._frames: dict[str, list[tuple[int, bytes]]] = {}
         if not path.absolute().parent.is_dir():
             raise JournalError(f"{path}: there is no folder {path.absolute().parent}")
         try:
             check_own(path, APPLICATION_ID, MARKER, "journal of a monitor")
         except ValueError as error:
             raise JournalError(str(error)) from None
-        self._writing = threading.Lock()
-        self._connection = sqlite3.connect(
-            path, timeout=1.0, isolation_level=None, check_same_thread=False
-        )
+        self._connection = sqlite3.connect(path, timeout=1.0, isolation_level=None)
         try:
             self._prepare()
         except (sqlite3.Error, JournalError) as error:
@@ -124,9 +108,8 @@ class Journal:
         self.close()
 
     def close(self) -> None:
-        """Close the file after the batch that is being written; unwritten batches are lost."""
-        with self._writing:
-            self._connection.close()
+        """Close the file; what is not written is lost."""
+        self._connection.close()
 
     def state(self, suspension: str) -> bytes | None:
         """Return the last saved state of a suspension."""
@@ -136,12 +119,9 @@ class Journal:
 
     def frames(self, suspension: str) -> Iterator[bytes]:
         """Yield the frames since the last saved state, in the order in which they were added."""
-        if suspension not in self._numbers:
-            return
         query = "SELECT frame FROM frames WHERE id BETWEEN ? AND ? ORDER BY id"
-        rows = self._connection.execute(query, _ids(self._numbers[suspension]))
-        while several := rows.fetchmany(READ_AT_ONCE):  # ends with the rows
-            yield from (frame for (frame,) in several)
+        rows = self._connection.execute(query, _ids(self._numbers.get(suspension, 0)))
+        return (frame for (frame,) in rows)
 
     def suspensions(self) -> list[str]:
         """Return the sorted names of the suspensions with a state or frames."""
@@ -149,58 +129,48 @@ class Journal:
         return [name for (name,) in names]
 
     def add(self, suspension: str, frame: bytes) -> None:
-        """Add a frame to the next batch."""
+        """Add a frame."""
         self._number(suspension)
         self._last[suspension] += 1
-        self._batch.frames.setdefault(suspension, []).append((self._last[suspension], frame))
+        self._frames.setdefault(suspension, []).append((self._last[suspension], frame))
         self.n_bytes[suspension] += len(frame)
 
     def save(self, suspension: str, state: bytes) -> None:
-        """Add a state to the next batch; it replaces all earlier frames of the suspension."""
+        """Save a state, which replaces all earlier frames of the suspension."""
         self._number(suspension)
-        self._batch.states[suspension] = state
-        self._batch.frames.pop(suspension, None)
+        self._states[suspension] = state
+        self._frames.pop(suspension, None)
         del self.n_bytes[suspension]
 
     def _number(self, suspension: str) -> None:
         if suspension not in self._numbers:
             number = len(self._numbers) + 1
             self._numbers[suspension], self._last[suspension] = number, number * RANGE
-            self._batch.new.append((number, suspension))
+            self._new.append((number, suspension))
 
-    def batch(self) -> Batch:
-        """Return what was added and saved since the last call; an empty batch is false."""
-        batch, self._batch = self._batch, Batch()
-        return batch
+    def write(self) -> None:
+        """Write what was added and saved to the disk, in one transaction.
 
-    def write(self, batch: Batch) -> None:
-        """Write a batch to the disk in one transaction, in the order of the batches.
-
-        Any thread may do so, one at a time, while others add and save. A JournalError, as on a full
-        disk, leaves the file unchanged: the same batch can be written again.
+        A JournalError, as on a full disk, leaves the file unchanged: it can be tried again.
         """
+        if not self._states and not self._frames:
+            return
         run, many = self._connection.execute, self._connection.executemany
-        with self._writing:
-            try:
-                run("BEGIN")
-                many("INSERT INTO suspensions (number, name) VALUES (?, ?)", batch.new)
-                for name, state in batch.states.items():
-                    number = self._numbers[name]
-                    run("DELETE FROM frames WHERE id BETWEEN ? AND ?", _ids(number))
-                    run("UPDATE suspensions SET state = ? WHERE number = ?", (state, number))
-                frames = [row for several in batch.frames.values() for row in several]
-                for start in range(0, len(frames), WRITTEN_AT_ONCE):
-                    rows = frames[start : start + WRITTEN_AT_ONCE]
-                    marks = ", ".join(["(?, ?)"] * len(rows))
-                    values = [value for row in rows for value in row]
-                    run(f"INSERT INTO frames VALUES {marks}", values)
-                run("COMMIT")
-            except sqlite3.Error as error:
-                if self._connection.in_transaction:
-                    run("ROLLBACK")
-                raise JournalError(
-                    f"{self.path}: the journal cannot be written ({error})"
-                ) from None
+        try:
+            run("BEGIN")
+            many("INSERT INTO suspensions (number, name) VALUES (?, ?)", self._new)
+            for name, state in self._states.items():
+                number = self._numbers[name]
+                run("DELETE FROM frames WHERE id BETWEEN ? AND ?", _ids(number))
+                run("UPDATE suspensions SET state = ? WHERE number = ?", (state, number))
+            for rows in self._frames.values():
+                many("INSERT INTO frames VALUES (?, ?)", rows)
+            run("COMMIT")
+        except sqlite3.Error as error:
+            if self._connection.in_transaction:
+                run("ROLLBACK")
+            raise JournalError(f"{self.path}: the journal cannot be written ({error})") from None
+        self._new, self._states, self._frames = [], {}, {}
 
 
 def _ids(number: int) -> tuple[int, int]:

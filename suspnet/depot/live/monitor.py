@@ -1,11 +1,10 @@
 """The monitor: frames of many suspensions from a source, results to the history.
 
 The main thread takes frames and writes them to the journal in batches; once a batch is written, the
-source may forget its frames. A second thread writes, as a disk may be slow. A third thread makes
-estimates, one at a time and started while no frame waits, so that hundreds of due estimates delay
-no frame. All other work is the main thread's. The journal holds the frames of a section until its
-estimate is reported. After a kill at any moment, the source sends unwritten frames again, and an
-estimate that is reported twice replaces itself.
+source may forget its frames. A second thread makes estimates, one at a time and started while no
+frame waits, so that hundreds of due estimates delay no frame. The journal holds the frames of a
+section until its estimate is reported. After a kill at any moment, the source sends unwritten
+frames again, and an estimate that is reported twice replaces itself.
 """
 
 from __future__ import annotations
@@ -18,22 +17,20 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from typing import NamedTuple
 
 import numpy as np
 
 from suspnet.depot.live.journal import Journal, JournalError, StateError
 from suspnet.depot.live.source import FrameSource
-from suspnet.depot.live.suspension import Due, EstimateJob, LiveSuspension, SectionEstimate
+from suspnet.depot.live.suspension import EstimateJob, LiveSuspension, SectionEstimate
 from suspnet.trains.recordings.frames import FrameError, decode
 
 log = logging.getLogger(__name__)
-WAIT_S, PAUSE_S, WRITING_S = 1.0, 0.1, 0.01
-"""Longest waits for frames [s]: usually; before a batch with fewer than ``MAX_PENDING`` frames is
-written; and while a batch is being written."""
-MAX_PENDING, MAX_UNWRITTEN = 256, 1024
-"""Number of frames after which a batch is written; and number after which no more frames are taken
-until the previous batch is written."""
+WAIT_S, PAUSE_S = 1.0, 0.1
+"""Longest waits for frames [s]: usually, and before a batch with fewer than ``MAX_PENDING`` frames
+is written."""
+MAX_PENDING = 256
+"""Number of frames after which a batch is written."""
 MAX_JOURNAL = 8 * 2**20
 """Size of a suspension's frames in the journal above which its state is saved, [bytes]. The first
 suspension uses half of it and the others values in between, so that hundreds of states are not
@@ -47,22 +44,13 @@ NICENESS = 10
 frames to take."""
 
 
-class _Making(NamedTuple):
-    """The estimate that is being made."""
-
-    suspension: LiveSuspension
-    job: EstimateJob
-    future: Future[SectionEstimate]
-
-
 class Monitor:
     """Reads a source until it ends.
 
     `report` gets a suspension and an estimate at least once, `clock` returns monotonic seconds, and
     `counts` holds the frames "taken" and those rejected, by reason, in this process. `executor`
-    makes the estimates (None: a thread of low priority) and is shut down when `run` ends; batches
-    are written by another thread. ValueError is raised if two suspensions have the same name, or
-    the source's part has none.
+    makes the estimates (None: a thread of low priority) and is shut down when `run` ends.
+    ValueError is raised if two suspensions have the same name, or the source's part has none.
     """
 
     def __init__(
@@ -91,12 +79,10 @@ class Monitor:
         sizes = np.linspace(MAX_JOURNAL / 2, MAX_JOURNAL, len(self._suspensions))
         self._max_bytes = dict(zip(self._suspensions, sizes.tolist(), strict=True))
         self._last_s = dict.fromkeys(self._suspensions, clock())
-        self._due: dict[str, Due] = {}
         self._executor = executor or ThreadPoolExecutor(1, "estimates", _lower_priority)
-        self._making: _Making | None = None
-        self._writer = ThreadPoolExecutor(1, "journal")
-        # the batch that is being written, with the number of frames from the source in it
-        self._writing: tuple[int, Future[None]] | None = None
+        # the estimates to be made, by suspension, and the one that is being made
+        self._due: dict[str, EstimateJob] = {}
+        self._making: tuple[LiveSuspension, EstimateJob, Future[SectionEstimate]] | None = None
         self._n_pending = 0
 
     def resume(self) -> int:
@@ -139,12 +125,12 @@ class Monitor:
                     self.take(data)
                 self._n_pending += len(frames or ())
                 if not frames or self._n_pending >= MAX_PENDING:
-                    self._add_silent()
+                    self._close_silent()
                     self._write()
                 if frames is None:
                     break
                 # an estimate is started only while no frame waits
-                if self._making is not None and self._making.future.done():
+                if self._making is not None and self._making[2].done():
                     self._finish_and_save()
                 if not frames and self._due and self._making is None:
                     self._start(next(iter(self._due)))
@@ -155,18 +141,13 @@ class Monitor:
             for name in list(self._due):
                 self._start(name)
                 self._finish_and_save()
-            self._confirm()  # the previous batch, so that `_write` does not skip the last one
             self._write()
-            self._confirm()
         finally:
-            self._writer.shutdown()
             self._executor.shutdown(cancel_futures=True)
 
     def _wait_s(self) -> float:
         if self._due and self._making is None:
             return 0.0
-        if self._writing is not None:
-            return WRITING_S
         return PAUSE_S if self._n_pending or self._making is not None else WAIT_S
 
     def take(self, data: bytes) -> None:
@@ -193,32 +174,31 @@ class Monitor:
                 self._logged.add(kind)
                 log.warning("a frame cannot be used (%s): %s", error.reason, error)
 
-    def _add_silent(self) -> None:
-        """Queue the open sections of suspensions without frames for `idle_s`."""
+    def _close_silent(self) -> None:
+        """Close the open sections of suspensions without frames for `idle_s`."""
         now_s = self._clock()
         for name, last_s in self._last_s.items():
             if now_s - last_s > self._idle_s:
                 self._last_s[name] = now_s
-                self._add(self._suspensions[name], self._suspensions[name].silent())
+                self._add(self._suspensions[name], self._suspensions[name].end())
 
-    def _add(self, suspension: LiveSuspension, several: list[Due]) -> None:
-        """Queue the last of a suspension's due estimates, and make the earlier ones now.
+    def _add(self, suspension: LiveSuspension, jobs: list[EstimateJob]) -> None:
+        """Queue the last of a suspension's estimates, and make the earlier ones now.
 
-        A queued estimate takes memory. One of an open section is dropped if a later one is queued.
+        A queued estimate takes memory. Nothing is saved: a state holds no section that is queued.
         """
-        for due in several:
-            waiting = self._due.get(suspension.name)
-            if waiting is not None and waiting.is_final and waiting.section is not due.section:
+        for job in jobs:
+            if suspension.name in self._due:
                 self._finish()
                 self._start(suspension.name)
                 self._finish()
-            self._due[suspension.name] = due
+            self._due[suspension.name] = job
 
     def _start(self, name: str) -> None:
         """Start the queued estimate of a suspension; none is being made now."""
-        suspension = self._suspensions[name]
-        job = suspension.job(self._due.pop(name))
-        self._making = _Making(suspension, job, self._executor.submit(job.make))
+        suspension, job = self._suspensions[name], self._due.pop(name)
+        suspension.begin(job)
+        self._making = suspension, job, self._executor.submit(job.make)
 
     def _finish(self) -> None:
         """Wait for the estimate that is being made, if there is one, and report it."""
@@ -230,24 +210,18 @@ class Monitor:
             self._making = None
 
     def _finish_and_save(self) -> None:
-        """Report the estimate that is being made; after a final one, save if no section waits."""
+        """Report the estimate that is being made, and save the state if no section waits."""
         if self._making is not None:
-            suspension, job, _ = self._making
+            suspension = self._making[0]
             self._finish()
-            if job.due.is_final and not self._is_held(suspension.name):
+            if suspension.name not in self._due:
                 self._journal.save(suspension.name, suspension.dump())
-
-    def _is_held(self, name: str) -> bool:
-        """Return whether a suspension has a section that has ended but is not reported yet."""
-        waiting, making = self._due.get(name), self._making
-        return (waiting is not None and waiting.is_final) or (
-            making is not None and making.suspension.name == name and making.job.due.is_final
-        )
 
     def _save(self, suspension: LiveSuspension) -> None:
         """Save a suspension's state in place of its frames, once all sections are reported."""
         name = suspension.name
-        if not self._is_held(name):
+        is_made = self._making is not None and self._making[0] is suspension
+        if name not in self._due and not is_made:
             self._journal.save(name, suspension.dump())
         elif self._journal.n_bytes[name] > MAX_WAITING:
             self._finish_and_save()
@@ -256,29 +230,10 @@ class Monitor:
                 self._finish_and_save()
 
     def _write(self) -> None:
-        """Start to write the pending frames, and confirm the previous batch to the source.
-
-        While the previous batch is being written nothing happens, up to ``MAX_UNWRITTEN`` pending
-        frames; beyond that this waits for it.
-        """
-        if self._writing is not None:
-            if not self._writing[1].done() and self._n_pending < MAX_UNWRITTEN:
-                return
-            self._confirm()
-        batch = self._journal.batch()
-        n_frames, self._n_pending = self._n_pending, 0
-        if batch:
-            self._writing = n_frames, self._writer.submit(self._journal.write, batch)
-        else:
-            self._source.confirm(n_frames)
-
-    def _confirm(self) -> None:
-        """Wait until the batch is written, if there is one; then the source may forget it."""
-        if self._writing is not None:
-            n_frames, future = self._writing
-            future.result()
-            self._writing = None
-            self._source.confirm(n_frames)
+        """Write the pending frames; then the source may forget them."""
+        self._journal.write()
+        self._source.confirm(self._n_pending)
+        self._n_pending = 0
 
 
 def _lower_priority() -> None:

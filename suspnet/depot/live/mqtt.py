@@ -1,10 +1,9 @@
-"""Frames from an MQTT 5 broker; results as retained messages on it."""
+"""Frames from an MQTT 5 broker."""
 
 from __future__ import annotations
 
 import hashlib
 import importlib
-import json
 import logging
 import re
 import threading
@@ -14,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from suspnet.depot.live.broker import KEEPALIVE_S, Broker
-from suspnet.depot.live.source import ResultKind, plain_json
 from suspnet.ground.extras import import_extra
 from suspnet.ground.settings import Setting, check_values
 from suspnet.trains.recordings.frames import MOST_BYTES
@@ -23,12 +21,11 @@ if TYPE_CHECKING:
     from paho.mqtt.client import Client
 
 log = logging.getLogger(__name__)
-MAX_UNACKNOWLEDGED = 20  # results in flight; of the others the latest of each topic waits
 MAX_TOPICS = 100  # of one request of a subscription
 TAKEN_OVER = "Session taken over"
 """Reason, as paho-mqtt names it, for which a broker ends a connection when another client of the
 same name connects. Mosquitto 2.0.11 states none."""
-CLOSING_S = 5.0  # longest time that `close` waits for the broker to take the results
+CLOSING_S = 5.0  # longest time that `close` waits until acknowledgements are sent
 
 
 class Mqtt:
@@ -41,7 +38,8 @@ class Mqtt:
     At most `in_flight` frames wait for `receive`: the broker is asked to send no more before some
     are acknowledged, and as not every broker obeys, the connection is not read beyond that. A
     message larger than any frame is acknowledged and dropped at once; withheld by the broker, it
-    would occupy a place among the messages in flight for ever (Mosquitto 2.0.11).
+    would occupy a place among the messages in flight for ever (Mosquitto 2.0.11). `counts` are
+    "disconnect", "reconnect", "unreachable", "rejected", and the "size" of a message.
     """
 
     settings: ClassVar[Mapping[str, Setting]] = {
@@ -80,7 +78,7 @@ class Mqtt:
         self.client_id = f"{client_id}-{self.shard}-of-{self.n_shards}"
         self.in_flight, self.session_h = in_flight, session_h
         self.is_connected = False
-        self._counts: Counter[str] = Counter()
+        self.counts: Counter[str] = Counter()
         self._client: Client | None = None
         self._topics: list[str] = []
         # shared with the client thread: messages by number of the connection, under `_changed`
@@ -90,14 +88,6 @@ class Mqtt:
         self._is_away = self._is_closing = self._is_replaced = False
         # of the calling thread only
         self._delivered: list[tuple[int, int]] = []
-        self._results: dict[str, bytes] = {}
-        self._unacknowledged: set[int] = set()
-        self._acknowledged: deque[int] = deque()
-
-    @property
-    def counts(self) -> Counter[str]:
-        """Events: "disconnect", "reconnect", "unreachable", "rejected", "size" of a message."""
-        return Counter(self._counts)
 
     @property
     def n_waiting(self) -> int:
@@ -107,12 +97,11 @@ class Mqtt:
     def subscribe(self, suspensions: Sequence[str]) -> Sequence[str]:
         """Start to connect; return the suspensions of this process. See `FrameSource`."""
         own = [name for name in suspensions if is_in_shard(name, self.shard, self.n_shards)]
-        self._topics = [self.broker.topic("frames", name) for name in own]
+        self._topics = [self.broker.topic(name) for name in own]
         client = self.broker.client(self.client_id, manual_ack=True)
-        client.max_queued_messages_set(MAX_UNACKNOWLEDGED)
         client.on_connect, client.on_disconnect = self._on_connect, self._on_disconnect
         client.on_connect_fail, client.on_message = self._on_connect_fail, self._on_message
-        client.on_subscribe, client.on_publish = self._on_subscribe, self._on_publish
+        client.on_subscribe = self._on_subscribe
         packet = import_extra("paho.mqtt.packettypes", "live", "MQTT").PacketTypes.CONNECT
         properties = import_extra("paho.mqtt.properties", "live", "MQTT").Properties(packet)
         properties.SessionExpiryInterval = round(3600 * self.session_h)
@@ -134,7 +123,6 @@ class Mqtt:
         ValueError is raised once another monitor has taken over the session: of two that share
         frames, each would see a part of every section.
         """
-        self._send()
         with self._changed:
             self._changed.wait_for(lambda: self._arrived or self._is_replaced, timeout_s)
             if self._is_replaced:
@@ -160,27 +148,13 @@ class Mqtt:
                 if number and self.is_connected and connection == self._connection:
                     self._client.ack(number, 1)
         del self._delivered[:n_confirmed]
-        self._send()
-
-    def publish(self, kind: ResultKind, suspension: str, message: bytes) -> None:
-        """Publish a retained message; only the latest of each topic waits for the broker."""
-        topic = self.broker.topic(kind, suspension)
-        self._results.pop(topic, None)
-        self._results[topic] = json.dumps(plain_json(message)).encode()
-        self._send()
 
     def close(self) -> None:
-        """Send results and acknowledgements if the broker takes them, and disconnect.
-
-        The broker retains the session.
-        """
+        """Send acknowledgements if the broker takes them, and disconnect; the session remains."""
         if self._client is None:
             return
         deadline = time.monotonic() + CLOSING_S
-        while time.monotonic() < deadline and self.is_connected:
-            self._send()
-            if not (self._results or self._unacknowledged or self._client.want_write()):
-                break
+        while time.monotonic() < deadline and self.is_connected and self._client.want_write():
             time.sleep(0.01)
         with self._changed:
             self._is_closing = True
@@ -189,23 +163,6 @@ class Mqtt:
         self._client.loop_stop()
         self._client = None
 
-    def _send(self) -> None:
-        """Give waiting results to the client, up to ``MAX_UNACKNOWLEDGED`` in flight.
-
-        No lock is held here: the client calls `_on_publish` under a lock of its own.
-        """
-        while self._acknowledged:  # ends: at most as many as were sent
-            self._unacknowledged.discard(self._acknowledged.popleft())
-        if self._client is None or not self.is_connected:
-            return
-        while self._results and len(self._unacknowledged) < MAX_UNACKNOWLEDGED:
-            topic = next(iter(self._results))
-            sent = self._client.publish(topic, self._results[topic], qos=1, retain=True)
-            if sent.rc:  # the connection is gone, or the client's queue is full
-                return
-            del self._results[topic]
-            self._unacknowledged.add(sent.mid)
-
     def _on_connect(self, client: Client, _: Any, flags: Any, reason: Any, more: Any) -> None:
         """Subscribe; the broker resends frames not acknowledged over the last connection."""
         if reason.is_failure:
@@ -213,7 +170,7 @@ class Mqtt:
             return
         with self._changed:
             if self._connection:
-                self._counts["reconnect"] += 1
+                self.counts["reconnect"] += 1
             self._connection += 1
             self.is_connected, self._is_away = True, False
         log.info("connected to the broker at %s", self.broker.where)
@@ -243,7 +200,7 @@ class Mqtt:
 
     def _on_message(self, client: Client, userdata: Any, message: Any) -> None:
         if len(message.payload) > MOST_BYTES:
-            self._counts["size"] += 1
+            self.counts["size"] += 1
             client.ack(message.mid, message.qos)
             return
         with self._changed:
@@ -251,14 +208,9 @@ class Mqtt:
             self._arrived.append((self._connection, message.mid, message.payload))
             self._changed.notify_all()
 
-    def _on_publish(self, client: Client, _: Any, number: int, reason: Any, more: Any) -> None:
-        if reason.is_failure:
-            self._count("rejected", f"a result: {reason}")
-        self._acknowledged.append(number)
-
     def _count(self, reason: str, message: str) -> None:
         """Count a problem with the broker, and log the first one of each connection."""
-        self._counts[reason] += 1
+        self.counts[reason] += 1
         if not self._is_away:
             where = self.broker.where
             log.warning("the broker at %s: %s; retrying until it answers", where, message)

@@ -1,4 +1,4 @@
-"""Recorded trips of a fleet as one stream of frames, all suspensions merged by time, at a set pace.
+"""Recorded trips of a fleet as files of frames, all suspensions merged by time, at a set pace.
 
 Frames hold the raw samples of each sensor, with the times at which they were taken.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import heapq
 import logging
 import math
+import re
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -15,17 +16,19 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime, tzinfo
 from itertools import chain
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-from suspnet.ground.settings import Setting, check_settings, check_values, setting
+from suspnet.depot.live.drop_folder import TAKEN
+from suspnet.ground.settings import check_settings, setting
+from suspnet.ground.storage import write_atomically
 from suspnet.ground.types import FloatArray
 from suspnet.trains.recordings.clocks import offsets_s
 from suspnet.trains.recordings.dates import EPOCH, SECOND_NS, ahead_ns, nanoseconds, time_zone
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.faults import find_gaps, runs
-from suspnet.trains.recordings.frames import MOST_SAMPLES, Frame, end_ns
+from suspnet.trains.recordings.frames import MOST_SAMPLES, Frame, encode, end_ns
 from suspnet.trains.recordings.manifest import TripManifest
 from suspnet.trains.recordings.manifest_files import ManifestFile
 from suspnet.trains.recordings.manifest_sources import UNITS
@@ -38,6 +41,9 @@ PAUSE_S = 3600
 manifests nor files give dates, [s]."""
 LONGEST_WAIT_S = 60.0
 """Longest gap between frames that a paced replay waits for, in recorded time, [s]."""
+FILE_S, MAX_FILE_BYTES = 10.0, 2**23
+"""Time that a file covers, [s], and size after which the next one is started."""
+NUMBERED = re.compile(r"\d{9}", re.ASCII)  # names of the files
 MILEAGE, TEMPERATURE = ("mileage", "km"), ("temperature", "degC")
 """Sensor and unit of the frames of one sample at the start of a trip."""
 SLOW_HZ = 1.0  # nominal rate of the frames of one sample
@@ -59,6 +65,12 @@ class Replay:
     frame_s: float = setting(1.0, "Length of a frame", "s", low=0.01, high=60)
     start: str | None = None
     zone: str = "UTC"
+    times: float | None = setting(
+        None,
+        "How many times faster than recorded frames are sent; null is as fast as they are taken",
+        low=1e-3,
+        high=1e6,
+    )
     n_suspensions: int = 0
     n_trips: int = 0
     problems: list[str] = field(default_factory=list)
@@ -87,7 +99,8 @@ class Replay:
 
     def frames(self) -> Iterator[Frame]:
         """Yield the frames of all suspensions in the order of their ends, as loggers send them."""
-        yield from heapq.merge(*map(self._suspension, self._trips), key=end_ns)
+        frames = heapq.merge(*map(self._suspension, self._trips), key=end_ns)
+        yield from frames if self.times is None else paced(frames, self.times)
 
     def _read(self, file: ManifestFile) -> TripManifest | None:
         try:
@@ -130,39 +143,59 @@ class Replay:
         log.warning("%s", problem)
 
 
-class Pace:
-    """Waits so that frames arrive as fast as recorded, or `times` faster; None does not wait."""
+def paced(frames: Iterable[Frame], times: float) -> Iterator[Frame]:
+    """Yield frames so many times faster than they were recorded.
 
-    settings: ClassVar[Mapping[str, Setting]] = {
-        "times": Setting(
-            "How many times faster than recorded frames are sent; null is as fast as they are "
-            "taken",
-            low=1e-3,
-            high=1e6,
-        )
-    }
-
-    def __init__(self, times: float | None = 1.0) -> None:
-        check_values(Pace, times=times)
-        self.times = times
-        self._last_ns: int | None = None
-        self._due_s = 0.0
-
-    def wait(self, frame: Frame) -> None:
-        """Wait until a frame is due: as long after the previous one as it was recorded later.
-
-        The wait is at most ``LONGEST_WAIT_S`` of recorded time; delays of the receiver are caught
-        up.
-        """
-        if self.times is None:
-            return
+    A frame waits as long after the previous one as it was recorded later, at most
+    ``LONGEST_WAIT_S``; delays of the receiver are caught up.
+    """
+    due_s, last_ns = time.monotonic(), None
+    for frame in frames:
         now_ns = end_ns(frame)
-        if self._last_ns is None:
-            self._due_s, self._last_ns = time.monotonic(), now_ns
-        passed_s = min((now_ns - self._last_ns) / SECOND_NS, LONGEST_WAIT_S)
-        self._due_s += max(passed_s, 0.0) / self.times
-        self._last_ns = max(now_ns, self._last_ns)
-        time.sleep(max(0.0, self._due_s - time.monotonic()))
+        last_ns = now_ns if last_ns is None else last_ns
+        due_s += max(min((now_ns - last_ns) / SECOND_NS, LONGEST_WAIT_S), 0.0) / times
+        last_ns = max(now_ns, last_ns)
+        time.sleep(max(0.0, due_s - time.monotonic()))
+        yield frame
+
+
+class FrameFiles:
+    """Writes frames into files as ``source=folder`` reads them; a context manager.
+
+    A file appears atomically. It covers ``FILE_S``, of all sensors, and holds at most
+    ``MAX_FILE_BYTES`` and one frame. File names continue after the existing ones.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        folder.mkdir(parents=True, exist_ok=True)
+        files = [*folder.glob("*.frames"), *(folder / TAKEN).glob("*.frames")]
+        self._n_files = max([int(f.stem) for f in files if NUMBERED.fullmatch(f.stem)], default=0)
+        self._held: list[bytes] = []
+        self._n_bytes = self._first_ns = 0
+
+    def add(self, frame: Frame) -> None:
+        """Add a frame to the file; write the file first if it is full."""
+        is_over = frame.time_ns - self._first_ns >= FILE_S * SECOND_NS
+        if self._held and (is_over or self._n_bytes >= MAX_FILE_BYTES):
+            self._write()
+        if not self._held:
+            self._first_ns = frame.time_ns
+        self._held.append(encode(frame))
+        self._n_bytes += len(self._held[-1])
+
+    def _write(self) -> None:
+        self._n_files += 1
+        write_atomically(self.folder / f"{self._n_files:09d}.frames", b"".join(self._held))
+        self._held.clear()
+        self._n_bytes = 0
+
+    def __enter__(self) -> FrameFiles:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._held:
+            self._write()
 
 
 def _in_order(trips: Sequence[TripManifest], zone: tzinfo) -> list[TripManifest]:

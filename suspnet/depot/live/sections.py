@@ -49,14 +49,6 @@ class LiveSettings:
         low=60,
         high=86400,
     )
-    every_s: float | None = setting(
-        600.0,
-        "Length of signal between two interim estimates of a section; null publishes the "
-        "final one only",
-        "s",
-        low=60,
-        high=86400,
-    )
     pause_s: float = setting(
         300.0, "Time without a frame after which a trip has ended", "s", low=60, high=3600
     )
@@ -69,7 +61,7 @@ class LiveSettings:
     )
     idle_s: float = setting(
         3600.0,
-        "Time without a frame after which an open section is reported as if it had ended",
+        "Time without a frame, as of a train that is parked, after which a section has ended",
         "s",
         low=1,
         high=1e7,
@@ -179,22 +171,12 @@ class Sections:
         last_ns = max((self._open[k].section.begin_ns for k in done), default=-1)
         return self._close([k for k in self._keys if self._open[k].section.begin_ns <= last_ns])
 
-    @property
-    def open(self) -> list[Running]:
-        """The open sections, the earliest first, without those that are the rest of another."""
-        return [self._open[k].section for k in self._keys if not self._is_rest(k)]
-
-    @property
-    def growing(self) -> list[Running]:
-        """The open sections that no other section of the same trip follows."""
-        followed = {entry.before for entry in self._open.values()}
-        return [
-            self._open[k].section for k in self._keys if k not in followed and not self._is_rest(k)
-        ]
-
     def close(self) -> list[Running]:
-        """Return all sections: the stream has ended."""
-        return self._close(self._keys)
+        """Return all sections: the stream has ended. Frames after the last one begin new ones."""
+        next_ns = max([self._next_ns, *(entry.section.end_ns for entry in self._open.values())])
+        closed = self._close(self._keys)
+        self._next_ns = next_ns
+        return closed
 
     @property
     def _keys(self) -> list[int]:

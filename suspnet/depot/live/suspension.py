@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -31,20 +30,6 @@ from suspnet.trains.trips.trip import evaluate_recording
 
 
 @dataclass(frozen=True)
-class Due:
-    """A section whose estimate is due.
-
-    `is_final`: the section has ended, or is reported as if it had. `mileage_km` is that at the
-    section's start; None: the mileage at the end of the previous section.
-    """
-
-    section: Running
-    is_final: bool
-    mileage_km: float | None
-    temperature_c: float | None
-
-
-@dataclass(frozen=True)
 class SectionEstimate:
     """The result of a section.
 
@@ -53,37 +38,38 @@ class SectionEstimate:
     """
 
     result: TripResult
-    is_final: bool
     frames: dict[str, int]
     distance_km: float
 
 
-@dataclass(frozen=True)
+@dataclass
 class EstimateJob:
-    """An estimate that any thread can make: it is self-contained.
+    """The estimate of a section that has ended; any thread can make it.
 
-    `section` is that of `due`, or a copy of it if more frames may come.
+    `mileage_km` is that at the section's start; None until `LiveSuspension.begin` if only the end
+    of the previous section tells it.
     """
 
-    due: Due
     section: Running
     manifest: TripManifest
+    mileage_km: float | None
     frames: dict[str, int]
     models: Sequence[Model]
     trips: TripSettings
 
     def make(self) -> SectionEstimate:
         """Return the estimate, or the reason why there is none; it never fails."""
-        distance_km = 0.0
+        assert self.mileage_km is not None
+        manifest, distance_km = replace(self.manifest, mileage_km=self.mileage_km), 0.0
 
         def read() -> Recording:
             nonlocal distance_km
-            recording = replace(self.section.recording(), manifest=self.manifest)
+            recording = replace(self.section.recording(), manifest=manifest)
             distance_km = _distance_km(recording)
             return recording
 
-        result = evaluate_recording(self.manifest, read, self.models, self.trips)
-        return SectionEstimate(result, self.due.is_final, self.frames, distance_km)
+        result = evaluate_recording(manifest, read, self.models, self.trips)
+        return SectionEstimate(result, self.frames, distance_km)
 
 
 class LiveSuspension:
@@ -102,13 +88,10 @@ class LiveSuspension:
     ) -> None:
         self.manifest, self.models = manifest, models
         self.name = str(manifest.place)
-        self._trips, self._settings = trips, settings
+        self._trips = trips
+        self._pause_ns = round(settings.pause_s * SECOND_NS)
         self._sections = Sections(manifest, settings, trips.rate_hz)
         self._slow = SlowValues(manifest.mileage_km, manifest.temperature_c)
-        # key of the open section with interim estimates: number of `every_s` reported
-        self._reported: dict[int, int] = {}
-        # key of each section reported as if ended: its mileage [km] and number of frames
-        self._silent: dict[int, tuple[float, int]] = {}
 
     def take(self, frame: Frame, is_known: bool = False) -> None:
         """Take a frame; FrameError if it is rejected as a whole, as in `Sections.add`."""
@@ -117,79 +100,27 @@ class LiveSuspension:
         else:
             self._sections.add(frame, is_known)
 
-    def due(self) -> list[Due]:
-        """Return the estimates of sections that have ended or have run for another `every_s`.
+    def due(self) -> list[EstimateJob]:
+        """Return the estimates of sections that have ended; the state no longer holds these."""
+        return self._jobs(self._sections.over())
 
-        An ended section is returned once: it is no longer part of the state.
-        """
-        due = self._ended(self._sections.over())
-        every_s = self._settings.every_s
-        if every_s is None:
-            return due
-        for section in self._sections.growing[:1]:
-            step = int(section.n_seconds / every_s)
-            is_new = step > self._reported.get(section.zero_ns, 0)
-            if is_new and step * every_s < self._settings.section_s:
-                self._reported = {section.zero_ns: step}
-                due.append(self._due(section, is_final=False))
-        return due
+    def end(self) -> list[EstimateJob]:
+        """End all sections, as no more frames come, and return their estimates."""
+        return self._jobs(self._sections.close())
 
-    def silent(self) -> list[Due]:
-        """Return the estimates of open sections with new frames, when frames have ceased."""
-        due = []
-        for section in self._sections.open:
-            _, n_frames = self._silent.get(section.zero_ns, (0.0, 0))
-            if _n_frames(section) > n_frames and not section.is_empty:
-                due.append(self._due(section, is_final=True))
-        return due
-
-    def end(self) -> list[Due]:
-        """Return the estimates of all sections: no more frames come."""
-        return self._ended(self._sections.close())
-
-    def job(self, due: Due) -> EstimateJob:
-        """Return a due estimate together with what it needs of the present state.
-
-        `finish` must get its result before the next job of this suspension is made.
-        """
-        section, mileage_km = due.section, due.mileage_km
-        start = EPOCH + timedelta(seconds=section.begin_ns // SECOND_NS)
-        if section.zero_ns in self._silent:
-            # the store identifies the trip by this mileage, and replaces it only under the same
-            mileage_km, _ = self._silent[section.zero_ns]
-        manifest = replace(
-            self.manifest,
-            name=f"{start:%Y-%m-%d %H:%M}",
-            start=start,
-            mileage_km=self._slow.passed_km if mileage_km is None else mileage_km,
-            temperature_c=due.temperature_c,
-            truth={},
-        )
-        frames = Counter(self._sections.counts)
-        for running in filter(None, (section, section.rest)):
-            for counts in running.sensors.values():
-                frames.update(counts)
-        if due.is_final:
-            self._sections.counts.clear()
-        if section in self._sections.open:
-            if due.is_final:
-                self._silent[section.zero_ns] = manifest.mileage_km, _n_frames(section)
-            section = copy.deepcopy(section)  # the main thread adds frames to the original
-        return EstimateJob(due, section, manifest, dict(frames), self.models, self._trips)
+    def begin(self, job: EstimateJob) -> None:
+        """Complete a job; `finish` got the previous one of this suspension before."""
+        if job.mileage_km is None:
+            job.mileage_km = self._slow.passed_km
 
     def finish(self, job: EstimateJob, estimate: SectionEstimate) -> None:
-        """Advance the mileage by an ended section."""
-        section = job.due.section
-        had_ended = job.section is section  # when the job was made: an open section was copied
-        if job.due.is_final and had_ended:
-            end_km = estimate.result.mileage_km + estimate.distance_km
-            self._slow.pass_section(_end_ns(section), end_km)
-            self._silent.pop(section.zero_ns, None)
+        """Advance the mileage by a section."""
+        end_km = estimate.result.mileage_km + estimate.distance_km
+        self._slow.pass_section(_end_ns(job.section), end_km)
 
     def dump(self) -> bytes:
         """Return the state."""
-        silent = {str(zero_ns): list(values) for zero_ns, values in self._silent.items()}
-        state = {"sections": self._sections.state(), "slow": self._slow.state(), "silent": silent}
+        state = {"sections": self._sections.state(), "slow": self._slow.state()}
         return dump_state(self._identity, state)
 
     def load(self, content: bytes) -> None:
@@ -197,29 +128,38 @@ class LiveSuspension:
         state = load_state(content, self._identity)
         self._sections.restore(state["sections"])
         self._slow.restore(state["slow"])
-        self._silent = {int(zero_ns): (km, n) for zero_ns, (km, n) in state["silent"].items()}
 
     @property
     def _identity(self) -> list[object]:
         return [self.name, self._sections.identity]
 
-    def _ended(self, sections: Sequence[Running]) -> list[Due]:
+    def _jobs(self, sections: Sequence[Running]) -> list[EstimateJob]:
         # a section without acceleration is only the last speed of a trip: nothing to report
-        return [self._due(section, is_final=True) for section in sections if not section.is_empty]
+        return [self._job(section) for section in sections if not section.is_empty]
 
-    def _due(self, section: Running, is_final: bool) -> Due:
+    def _job(self, section: Running) -> EstimateJob:
+        start = EPOCH + timedelta(seconds=section.begin_ns // SECOND_NS)
         # mileage and temperature are looked up now, so that the time of the job does not matter
         begin_ns = section.begin_ns // SECOND_NS * SECOND_NS
-        before_ns = 0 if section.goes_on else round(self._settings.pause_s * SECOND_NS)
-        return Due(section, is_final, *self._slow.within(begin_ns, _end_ns(section), before_ns))
+        before_ns = 0 if section.goes_on else self._pause_ns
+        mileage_km, temperature_c = self._slow.within(begin_ns, _end_ns(section), before_ns)
+        manifest = replace(
+            self.manifest,
+            name=f"{start:%Y-%m-%d %H:%M}",
+            start=start,
+            temperature_c=temperature_c,
+            truth={},
+        )
+        frames = Counter(self._sections.counts)
+        self._sections.counts.clear()
+        for running in filter(None, (section, section.rest)):
+            for counts in running.sensors.values():
+                frames.update(counts)
+        return EstimateJob(section, manifest, mileage_km, dict(frames), self.models, self._trips)
 
 
 def _end_ns(section: Running) -> int:
     return max(section.end_ns, 0 if section.rest is None else section.rest.end_ns)
-
-
-def _n_frames(section: Running) -> int:
-    return section.n_frames + (0 if section.rest is None else section.rest.n_frames)
 
 
 def _distance_km(recording: Recording) -> float:
