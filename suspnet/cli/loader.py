@@ -197,7 +197,7 @@ class CheckedLoader(ConfigLoaderImpl):
                 "`hydra.searchpath` cannot be set; name your folder with --config-dir FOLDER"
             )
         if config_name == "train":
-            values = {one.key_or_group: one.input_line.partition("=")[2] for one in parsed}
+            values = {one.key_or_group: (one.input_line or "").partition("=")[2] for one in parsed}
             vehicles = self.repository.get_group_options("vehicle")
             overrides = [*overrides, *presets.of_healthy(values, vehicles, self._vehicle_name)]
         theirs = [source for source in self.get_sources() if isinstance(source, _TheirFolder)]
