@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -42,18 +42,6 @@ class TrackProfile:
     elevation_m: FloatArray
     slope: FloatArray
     curvature_per_m: FloatArray
-
-    def __post_init__(self) -> None:
-        check_number("step_m", self.step_m, above=0)
-        for field in fields(self)[1:]:
-            values = getattr(self, field.name)
-            if values.ndim != 1 or values.shape != self.elevation_m.shape or values.size < 2:
-                raise ValueError(
-                    f"profile array `{field.name}` must have the shape (n_points,) of the "
-                    f"elevation, n_points >= 2, got {values.shape}"
-                )
-            if not np.isfinite(values).all():
-                raise ValueError(f"profile array `{field.name}` must be finite; drop NaN and inf")
 
     @property
     def length_m(self) -> float:

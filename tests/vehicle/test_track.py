@@ -256,8 +256,6 @@ def test_profile_reaches_its_length(length, step, n_points):
         (lambda: make_profile(TRACKS["german_low"], 10, 0.1, 0, 0.2001), "no wave of the period"),
         (lambda: wave(0.1, 1.0, n_points=101).at([1.0, 10.01]), "must lie in 0 to 10 m"),
         (lambda: wave(0.1, 1.0, n_points=101).at(math.nan), "must lie in 0 to 10 m"),
-        (lambda: TrackProfile(0.1, *np.zeros((2, 4)), np.zeros(3)), "must have the shape"),
-        (lambda: TrackProfile(0.1, np.zeros(4), np.full(4, np.nan), np.zeros(4)), "be finite"),
     ],
 )
 def test_what_is_out_of_range_is_refused(call, message):
