@@ -271,8 +271,11 @@ def _migrated(content: dict[str, Any]) -> dict[str, Any]:
     """Return the content of model.json of any version that is read as one of this version."""
     if content["schema_version"] == SCHEMA_VERSION:
         return content
-    plain = {k: v for k, v in content["settings"].items() if k != "cache_dir"}
-    content = content | {"settings": plain}  # up to 9: a folder of cached features
+    settings = dict(content["settings"])
+    settings.pop("cache_dir")  # up to 9: a folder of cached features, and short waves of the rail
+    if settings.pop("short_waves", False):
+        raise ModelFileError("models of short_waves=true are no longer read; train again")
+    content = content | {"settings": settings}
     if content["model"] == "msvr":  # up to 9: whether processes shared the fit, and its precision
         kept = dict(content["parameters"])
         kept.pop("distributed")

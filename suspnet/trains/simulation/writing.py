@@ -281,7 +281,7 @@ def _profiles(
     seeds: Sequence[np.random.SeedSequence],
 ) -> list[TrackProfile]:
     """Return the profile of the mean of both rails, and those of what else drives the system."""
-    mean = track_spectrum(fleet.track, fleet.short_waves)
+    mean = track_spectrum(fleet.track)
     spectra = [mean]
     if system.roll_per_m:
         spectra.append(cross_level_spectrum(mean))
