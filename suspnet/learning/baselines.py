@@ -75,7 +75,6 @@ class SVR(Regressor):
             "Function called after each output, which train.py sets itself", rule="null"
         ),
     }
-    """What each argument means and which values it takes."""
 
     def __init__(
         self,
@@ -184,7 +183,6 @@ class KernelRidge(Regressor):
         "C": Setting("Penalty of residuals, as tuned for the group", above=0),
         "sigma": SIGMA_SETTING,
     }
-    """What each argument means and which values it takes."""
 
     def __init__(self, C: float = 100.0, sigma: float = 3.0) -> None:
         self.C = C
@@ -268,7 +266,6 @@ class CurveFit(MethodFlags, BaseEstimator):  # type: ignore[misc]
         "max_iter": Setting("Largest number of Levenberg-Marquardt iterations", low=1),
         "tol": Setting("Change of every log-parameter below which the fit has converged", above=0),
     }
-    """What each argument means and which values it takes."""
 
     works_on_curves: ClassVar[bool] = True
 

@@ -149,7 +149,6 @@ class MSVR(Regressor):
             "Function called after each iteration, which train.py sets itself", rule="null"
         ),
     }
-    """What each argument means and which values it takes."""
 
     def __init__(
         self,
@@ -262,7 +261,6 @@ class MSVR(Regressor):
         return self
 
     def _width(self, samples: Tensor) -> float:
-        """Return sigma as a number."""
         if self.sigma != "scale":
             return float(self.sigma)
         variance = float(samples.var(correction=0))

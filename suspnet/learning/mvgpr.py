@@ -108,7 +108,6 @@ class MVGPR(Regressor):
             "Function called after each evaluation, which train.py sets itself", rule="null"
         ),
     }
-    """What each argument means and which values it takes."""
 
     _kept_factor: Tensor | None
 
@@ -214,7 +213,6 @@ class MVGPR(Regressor):
         return self
 
     def _kernel(self, X: Tensor, Z: Tensor) -> Tensor:
-        """Return K of two sets of samples, without the noise."""
         return self.signal_variance_ * rbf_kernel(X, Z, math.sqrt(2) * self.length_scale_)
 
     def _factor(self) -> Tensor:

@@ -108,7 +108,7 @@ def make_profile(
     """
     check_number("length_m", length_m, above=0)
     check_number("step_m", step_m, above=0)
-    check_band(2 * step_m, longest_m)
+    check_number("longest_m", longest_m, above=2 * step_m)
     if length_m < step_m:
         raise ValueError(f"`length_m` must be at least one step of {step_m} m, got {length_m}")
     n_points = math.ceil(length_m / step_m - 1e-6) + 1
@@ -244,9 +244,3 @@ def acceleration_density(
     f = frequencies[moving]
     density[moving] = (2 * np.pi * f) ** 4 * spectrum.density(f / speed_m_per_s) / speed_m_per_s
     return density
-
-
-def check_band(shortest_m: float, longest_m: float) -> None:
-    """Raise ValueError unless 0 < shortest_m < longest_m < infinity."""
-    check_number("shortest_m", shortest_m, above=0)
-    check_number("longest_m", longest_m, above=shortest_m)

@@ -218,7 +218,6 @@ class VehicleFamily:
 
     @cached_property
     def _medians(self) -> Tensor:
-        """Median of each column, 1 for those of ``outputs``."""
         medians = [1.0] * len(self.outputs) + [quantity.median for quantity in self.quantities]
         columns = torch.tensor(medians, dtype=torch.float64)
         if self.distribution is not None:
@@ -247,7 +246,6 @@ class VehicleFamily:
         return self._numbers(ratios), angular(frequencies_hz, self.device)
 
     def _rows(self, ratios: ArrayLike) -> Tensor:
-        """Return checked ratios with all columns on the generator's device."""
         return self.complete(as_tensor(ratios).to(self.device, torch.float64))
 
     def _numbers(self, ratios: ArrayLike) -> dict[str, Tensor]:

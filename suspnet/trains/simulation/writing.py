@@ -351,7 +351,6 @@ def _outputs(generator: ResponseGenerator) -> tuple[str, ...]:
 
 
 def _of_left_sensors(system: LinearSystem) -> LinearSystem:
-    """Return a system that is measured at its first sensor of each place alone."""
     n = 3 if len(system.sensors) == 6 else 2
     direct = None if system.feedthrough is None else system.feedthrough[:n]
     return replace(system, sensors=system.sensors[:n], feedthrough=direct)
