@@ -35,7 +35,7 @@ GRID = [MSVR(feature_map="equispaced")] if importlib.util.find_spec("finufft") e
 
 
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.SkipTestWarning")
-@parametrize_with_checks([MSVR(n_components=16), SVR()])
+@parametrize_with_checks(ESTIMATORS[:2])
 def test_estimator_keeps_the_contract(estimator, check):
     check(estimator)
 
