@@ -28,7 +28,7 @@ ALL_NOISE = {"mean": 0.5, "difference": 2.0}
 """Noise power of a combination, relative to that of one sensor."""
 
 
-def process_spectra(train, track="german_low", short_waves=False):
+def process_spectra(train, track="german_low"):
     """Return a `TrackSpectrum` of each process that drives a train.
 
     Mean of both rails; cross level as half of their difference; alignment. The German cross level
@@ -36,7 +36,7 @@ def process_spectra(train, track="german_low", short_waves=False):
     constant share; of any track both are taken so from its mean, times the train's factors.
     No standard's text was at hand for these two.
     """
-    mean = track_spectrum(track, short_waves)
+    mean = track_spectrum(track)
 
     def cross_level(n):
         omega_2 = (2 * math.pi * n) ** 2
@@ -52,7 +52,7 @@ def process_spectra(train, track="german_low", short_waves=False):
     return found[: train.n_processes]
 
 
-def spectra(train, ratios, frequencies_hz, sides="mean", track="german_low", short_waves=False):
+def spectra(train, ratios, frequencies_hz, sides="mean", track="german_low"):
     """Return E[X Y*] of the accelerations X, Y of axle box, frame and body: H S H^H.
 
     Parameters
@@ -64,7 +64,6 @@ def spectra(train, ratios, frequencies_hz, sides="mean", track="german_low", sho
     sides : str
         A key of ``SIDES``; "both" gives six sensors.
     track : str
-    short_waves : bool
 
     Returns
     -------
@@ -81,7 +80,7 @@ def spectra(train, ratios, frequencies_hz, sides="mean", track="german_low", sho
     density = np.stack(
         [
             acceleration_density(one, frequencies_hz, train.speed_m_per_s)
-            for one in process_spectra(train, track, short_waves)
+            for one in process_spectra(train, track)
         ]
     )
     found = []
@@ -122,9 +121,7 @@ def noise_densities(train, settings, sides="mean"):
     found = []
     for channel, rate_hz in enumerate(settings.rates_hz):
         grid = np.geomspace(0.1, rate_hz / 2, 1000)
-        found_here = spectra(
-            train, np.ones((1, 5)), grid, single, settings.track, settings.short_waves
-        )
+        found_here = spectra(train, np.ones((1, 5)), grid, single, settings.track)
         power = np.trapezoid(found_here[0, channel, channel].real, grid)
         found.append(10 ** (-settings.snr_db / 10) * power / (rate_hz / 2))
     return ALL_NOISE.get(sides, 1.0) * np.array(found)
@@ -146,7 +143,7 @@ def expected_estimates(train, ratios, settings, sides="mean"):
     taps, segment_s = settings.welch.smear().numpy(), settings.welch.segment_s
     bins, more = settings.frequencies_hz().numpy(), np.arange(1, len(taps) // 2 + 1) / segment_s
     wide = np.concatenate([bins[0] - more[::-1], bins, bins[-1] + more])
-    found = spectra(train, ratios, wide, sides, settings.track, settings.short_waves)
+    found = spectra(train, ratios, wide, sides, settings.track)
     n = len(bins)
     found = sum(tap * found[..., k : k + n] for k, tap in enumerate(taps))
     noise = noise_densities(train, settings, sides)

@@ -140,7 +140,7 @@ class Drive:
         top = float(self.journey.speeds_m_per_s.max())
         start_m = max(behind_m.max(), 0.0) + LEAD_IN_S * top + MARGIN_M
         length_m = start_m + self.journey.distance_m - min(behind_m.min(), 0.0) + MARGIN_M
-        densities = process_spectra(self.train, self.fleet.track, self.fleet.short_waves)
+        densities = process_spectra(self.train, self.fleet.track)
         seeds = self._source.generate_state(len(densities))
         profiles = [
             make_profile(density, length_m, top / self.rate_hz, int(seed))

@@ -102,7 +102,7 @@ def _track(ratios, fleet, journey, rate_hz, source):
     behind_m = np.array(system.behind_m)
     start_m = behind_m.max() + LEAD_IN_S * journey.speeds_m_per_s[0] + MARGIN_M
     profile = make_profile(
-        track_spectrum(fleet.track, fleet.short_waves),
+        track_spectrum(fleet.track),
         profile_length_m(system, journey),
         float(journey.speeds_m_per_s.max()) / rate_hz,
         int(source.generate_state(1)[0]),

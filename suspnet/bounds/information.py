@@ -235,7 +235,6 @@ def _feature_covariance(values: Tensor) -> tuple[Tensor, Tensor]:
 def _feature_jacobian(
     observer: Observer, extractor: FeatureSet, rows: Tensor, columns: Sequence[int]
 ) -> Tensor:
-    """Return the derivative of the noise-free features, shape (n, p, q)."""
     steps = torch.eye(len(PARAMETERS), dtype=rows.dtype)[list(columns)] * FEATURE_STEP
     moved = rows[:, None, None] * (1 + torch.stack([steps, -steps]))  # (n, 2, q, 5)
     curves = observer.noise_free(moved.flatten(0, 2))

@@ -34,7 +34,7 @@ ALLOWED = frozenset(
     refine scenario search seed sensor_lateral_m speed_m_per_s track tube tuned vehicle
     data.body_high_hz data.high_hz data.kind data.low_hz data.method data.minutes data.n_calibrate
     data.n_test data.n_train data.noise_on data.overlap data.rates_hz data.segment_s
-    data.short_waves data.snr_db
+    data.snr_db
     data.speed_half_width data.speed_m_per_s data.step_hz data.track data.window
     monitor.changes monitor.limits monitor.n_reference monitor.reference monitor.trips
     source.broker.ca_file source.broker.port source.broker.tls source.broker.user

@@ -60,7 +60,7 @@ class EstimateObserver:
             generator,
             settings.welch,
             self.frequencies_hz,
-            track_spectrum(settings.track, settings.short_waves),
+            track_spectrum(settings.track),
             settings.speed_m_per_s,
             relative,
         )

@@ -63,10 +63,6 @@ class EstimateSettings(Counts):
         below=0.5,
     )
     track: str = setting("german_low", "Roughness of the track, as the line's", rule="as track")
-    short_waves: bool = setting(
-        False,
-        "Whether to add the short waves of a rail head to the track, below 2.5 m; not on roads",
-    )
     snr_db: float = setting(
         34.0,
         "Noise of each sensor, relative to the healthy vehicle's signal over the sensor's whole "
@@ -134,7 +130,7 @@ class EstimateSettings(Counts):
         self.check()
         if len(self.rates_hz) != 3:
             raise ValueError(f"`data.rates_hz` must be three rates > 0, got {self.rates_hz}")
-        track_spectrum(self.track, self.short_waves)
+        track_spectrum(self.track)
         highest = HIGHEST_HZ if self.high_hz is None else self.high_hz
         if highest * self.segment_s > MOST_BINS:
             raise ValueError(

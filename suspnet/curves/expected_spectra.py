@@ -79,7 +79,6 @@ class ExpectedSpectra:
         return self._generator.channels(healthy, self._bins[:1]).shape[1]
 
     def _of(self, ratios: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the spectra of a few vehicles."""
         if self._relative is None:
             auto, cross = self._spectra(ratios, self._density)
         else:

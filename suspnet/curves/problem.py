@@ -115,7 +115,6 @@ class Problem:
         return self.task.sample(n_curves, self.seed, stream)
 
     def _wanted(self, stream: int) -> int | str:
-        """Return the number of curves of a stream, or "all" for the whole grid."""
         settings = self.settings
         assert settings.n_train is not None  # filled in above
         return (settings.n_train, settings.n_test, settings.n_calibrate or 0)[stream]

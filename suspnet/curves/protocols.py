@@ -383,7 +383,6 @@ class Protocol:
         return found
 
     def _mass_range(self) -> tuple[float, float]:
-        """Return the range of the mass ratio, by default that of the suspension."""
         low = self.lower if self.mass_lower is None else self.mass_lower
         return low, self.upper if self.mass_upper is None else self.mass_upper
 

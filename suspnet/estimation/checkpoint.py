@@ -294,8 +294,11 @@ def _migrated(content: dict[str, Any]) -> dict[str, Any]:
     version = content["schema_version"]
     if version == SCHEMA_VERSION:
         return content
-    plain = {k: v for k, v in content["settings"].items() if k != "cache_dir"}
-    content = content | {"settings": plain, "schema_version": SCHEMA_VERSION}
+    settings = dict(content["settings"])
+    settings.pop("cache_dir")  # up to 9: a folder of cached features, and short waves of the rail
+    if settings.pop("short_waves", False):
+        raise ModelFileError("models of short_waves=true are no longer read; train again")
+    content = content | {"settings": settings, "schema_version": SCHEMA_VERSION}
     bogie = content.pop("bogie", None)
     if bogie is not None:  # up to 9: it lay beside a fitted method, which is not needed
         law = content["training"].get("commissioned", {}).get(NOTE)

@@ -147,8 +147,7 @@ def identified(task: Task, refined: Refined) -> tuple[FloatArray, FloatArray]:
         if not np.isfinite(column).all():
             raise ValueError(
                 f"refine=true needs curves that identify {name}, and these of protocol "
-                f"{task.protocol!r} do not: see python evaluate.py "
-                f"study=identifiability protocol={task.protocol}"
+                f"{task.protocol!r} do not: take protocol=multi_location or joint, which use both"
             )
     return estimates, deviations
 

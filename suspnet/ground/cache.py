@@ -90,20 +90,12 @@ class Cache:
 
 
 @functools.cache
-def code_hash(*parts: str) -> str:
-    """Return a hash of files and folders of this package; of all if none are given.
-
-    As part of a cache's description it invalidates files of older code.
-    """
+def code_hash() -> str:
+    """Return a hash of this package's code, which invalidates files of older code."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
-    for part in parts or (".",):
-        path = package / part
-        files = [path] if path.is_file() else sorted([*path.rglob("*.py"), *path.rglob("*.csv")])
-        if not files:
-            raise FileNotFoundError(2, "this package has no such code", str(path))
-        for file in files:
-            digest.update(file.read_bytes())
+    for file in sorted([*package.rglob("*.py"), *package.rglob("*.csv")]):
+        digest.update(file.read_bytes())
     return digest.hexdigest()
 
 

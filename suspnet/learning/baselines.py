@@ -50,20 +50,9 @@ class SVR(Regressor):
     output needs one to some hundred times as many iterations as there are samples; a `tol` below
     rounding never ends by itself. `callback` gets the number of outputs fitted so far.
 
-    Attributes
-    ----------
-    support_vectors_, dual_coef_ : list of arrays
-        For each output, shapes (n_support, n_inputs) and (n_support,).
-    intercept_ : array of shape (n_outputs,)
-    n_iter_ : array of shape (n_outputs,)
-    support_fraction_ : float
-        Mean fraction of the samples that are support vectors.
-    converged_ : bool
-
-    Warns
-    -----
-    ConvergenceWarning
-        If `tol` was not reached.
+    A fit sets, for each output, `support_vectors_` (n_support, n_inputs) and `dual_coef_`
+    (n_support,), `intercept_` and `n_iter_` (n_outputs,), the mean `support_fraction_`, and
+    `converged_`; it warns with ConvergenceWarning if `tol` was not reached.
     """
 
     settings: ClassVar[Mapping[str, Setting]] = {
@@ -86,7 +75,6 @@ class SVR(Regressor):
             "Function called after each output, which train.py sets itself", rule="null"
         ),
     }
-    """What each argument means and which values it takes."""
 
     def __init__(
         self,
@@ -187,20 +175,14 @@ class KernelRidge(Regressor):
     """Kernel ridge regression (scikit-learn's), which MSVR is without a tube.
 
     Minimises ``1/2 |W|^2 + C sum_i |y_i - W^T phi(x_i) - b|^2`` with b the mean of the outputs, so
-    with the letters of `MSVR`: alpha = 1 / (2 C), gamma = 1 / sigma^2.
-
-    Attributes
-    ----------
-    dual_coef_ : array of shape (n_samples, n_outputs)
-    X_fit_ : array of shape (n_samples, n_inputs)
-    intercept_ : array of shape (n_outputs,)
+    with the letters of `MSVR`: alpha = 1 / (2 C), gamma = 1 / sigma^2. A fit sets `dual_coef_`
+    (n_samples, n_outputs), `X_fit_` (n_samples, n_inputs) and `intercept_` (n_outputs,).
     """
 
     settings: ClassVar[Mapping[str, Setting]] = {
         "C": Setting("Penalty of residuals, as tuned for the group", above=0),
         "sigma": SIGMA_SETTING,
     }
-    """What each argument means and which values it takes."""
 
     def __init__(self, C: float = 100.0, sigma: float = 3.0) -> None:
         self.C = C
@@ -284,7 +266,6 @@ class CurveFit(MethodFlags, BaseEstimator):  # type: ignore[misc]
         "max_iter": Setting("Largest number of Levenberg-Marquardt iterations", low=1),
         "tol": Setting("Change of every log-parameter below which the fit has converged", above=0),
     }
-    """What each argument means and which values it takes."""
 
     works_on_curves: ClassVar[bool] = True
 

@@ -329,7 +329,6 @@ class Functional:
 
 
 def _support(gradient: Gradient) -> float:
-    """Return the fraction of the samples outside the tube."""
     return float((gradient.weights > 0).double().mean())
 
 

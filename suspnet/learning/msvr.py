@@ -89,27 +89,12 @@ class MSVR(Regressor):
     The fit stops when the objective is proven to lie within the fraction `tol` of its minimum.
     `callback` gets an ``Iteration`` after each iteration.
 
-    Attributes
-    ----------
-    coef_ : array of shape (n_features, n_outputs)
-        W; for the exact kernel the dual coefficients, (n_samples, n_outputs).
-    intercept_ : array of shape (n_outputs,)
-        b.
-    n_iter_ : int
-    converged_ : bool
-    objective_, grad_norm_ : float
-        At the solution.
-    gap_ : float
-        Proven bound on the relative distance of the objective from its minimum.
-    objectives_ : list of float
-        Before the first and after each iteration.
-    support_fraction_ : float
-        Fraction of the samples outside the tube.
-
-    Warns
-    -----
-    ConvergenceWarning
-        If `tol` was not reached.
+    A fit sets `coef_`, W (n_features, n_outputs), for the exact kernel the dual coefficients
+    (n_samples, n_outputs), `intercept_`, b (n_outputs,), `n_iter_`, `converged_`, `objective_` and
+    `grad_norm_` at the solution, `gap_`, the proven bound on the relative distance of the objective
+    from its minimum, `objectives_` before the first and after each iteration, and
+    `support_fraction_`, that of the samples outside the tube. It warns with ConvergenceWarning if
+    `tol` was not reached.
 
     Examples
     --------
@@ -164,7 +149,6 @@ class MSVR(Regressor):
             "Function called after each iteration, which train.py sets itself", rule="null"
         ),
     }
-    """What each argument means and which values it takes."""
 
     def __init__(
         self,
@@ -277,7 +261,6 @@ class MSVR(Regressor):
         return self
 
     def _width(self, samples: Tensor) -> float:
-        """Return sigma as a number."""
         if self.sigma != "scale":
             return float(self.sigma)
         variance = float(samples.var(correction=0))

@@ -68,21 +68,11 @@ class MVGPR(Regressor):
     unbounded. Further starts are drawn log-uniformly from Table V's ranges. `callback` gets a
     ``LikelihoodEvaluation`` after each evaluation.
 
-    Attributes
-    ----------
-    length_scale_, signal_variance_, noise_variance_ : float
-    omega_ : array of shape (n_outputs, n_outputs)
-        Covariance of the outputs, up to the kernel's factor.
-    log_marginal_likelihood_ : float
-        Of all training samples.
-    n_iter_ : int
-    converged_ : bool
-        Of the optimiser's best start; 1 and True without an optimiser.
-
-    Warns
-    -----
-    ConvergenceWarning
-        If the optimiser of the best start did not converge.
+    A fit sets `length_scale_`, `signal_variance_`, `noise_variance_`, `omega_` (n_outputs,
+    n_outputs), which is the covariance of the outputs up to the kernel's factor,
+    `log_marginal_likelihood_` of all training samples, and `n_iter_` and `converged_` of the
+    optimiser's best start, 1 and True without an optimiser. It warns with ConvergenceWarning if
+    that start did not converge.
     """
 
     settings: ClassVar[Mapping[str, Setting]] = {
@@ -118,7 +108,6 @@ class MVGPR(Regressor):
             "Function called after each evaluation, which train.py sets itself", rule="null"
         ),
     }
-    """What each argument means and which values it takes."""
 
     _kept_factor: Tensor | None
 
@@ -224,7 +213,6 @@ class MVGPR(Regressor):
         return self
 
     def _kernel(self, X: Tensor, Z: Tensor) -> Tensor:
-        """Return K of two sets of samples, without the noise."""
         return self.signal_variance_ * rbf_kernel(X, Z, math.sqrt(2) * self.length_scale_)
 
     def _factor(self) -> Tensor:

@@ -36,7 +36,6 @@ class Regressor(MethodFlags, MultiOutputMixin, RegressorMixin, BaseEstimator):  
         return np.asarray(X), targets.reshape(len(targets), -1)
 
     def _inputs(self, X: ArrayLike) -> FloatArray:
-        """Return checked samples to predict."""
         check_is_fitted(self)
         return np.asarray(validate_data(self, X, reset=False, dtype=np.float64))
 

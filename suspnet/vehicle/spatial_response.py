@@ -346,6 +346,5 @@ def derivatives(
 
 
 def _n_at_once(layout: Layout, omega: Tensor) -> int:
-    """Return the number of vehicles for which Z and B fit into memory."""
     n = len(coordinates(layout.parts))
     return max(1, MOST_NUMBERS // (len(omega) * n * (n + len(wheel_inputs(layout.parts)))))

@@ -1,7 +1,7 @@
 """A vehicle of which each spring and damper of the measured bogie is a part of its own.
 
 The equations are in `suspnet.vehicle.spatial_motion`, the responses and their derivatives in
-`suspnet.vehicle.spatial_response`, settings and numbers in `suspnet.vehicle.vehicle_family`.
+`suspnet.vehicle.spatial_response`, settings and numbers in `suspnet.vehicle.vertical_vehicle`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from suspnet.vehicle.spatial_response import (
     responses,
 )
 from suspnet.vehicle.vehicle import angular
-from suspnet.vehicle.vehicle_family import VehicleFamily
+from suspnet.vehicle.vertical_vehicle import VehicleFamily
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -42,18 +42,6 @@ class TrackProfile:
     elevation_m: FloatArray
     slope: FloatArray
     curvature_per_m: FloatArray
-
-    def __post_init__(self) -> None:
-        check_number("step_m", self.step_m, above=0)
-        for field in fields(self)[1:]:
-            values = getattr(self, field.name)
-            if values.ndim != 1 or values.shape != self.elevation_m.shape or values.size < 2:
-                raise ValueError(
-                    f"profile array `{field.name}` must have the shape (n_points,) of the "
-                    f"elevation, n_points >= 2, got {values.shape}"
-                )
-            if not np.isfinite(values).all():
-                raise ValueError(f"profile array `{field.name}` must be finite; drop NaN and inf")
 
     @property
     def length_m(self) -> float:
@@ -120,7 +108,7 @@ def make_profile(
     """
     check_number("length_m", length_m, above=0)
     check_number("step_m", step_m, above=0)
-    check_band(2 * step_m, longest_m)
+    check_number("longest_m", longest_m, above=2 * step_m)
     if length_m < step_m:
         raise ValueError(f"`length_m` must be at least one step of {step_m} m, got {length_m}")
     n_points = math.ceil(length_m / step_m - 1e-6) + 1
@@ -152,13 +140,12 @@ class TrackSpectrum:
     """One-sided power spectral density of the vertical unevenness of a rail or a road.
 
     `density` maps n > 0 [cycles/m] to S(n) [m^3] of the same shape; `source` is the origin of
-    formula and numbers. Short waves of the rail head can be added only if `surface` is "rail".
+    formula and numbers.
     """
 
     name: str
     density: Callable[[FloatArray], FloatArray]
     source: str
-    surface: str = "rail"
 
 
 def german_density(n: FloatArray, amplitude: float) -> FloatArray:
@@ -185,11 +172,6 @@ def chinese_ballastless_density(n: FloatArray) -> FloatArray:
     return density
 
 
-def short_wave_density(n: FloatArray) -> FloatArray:
-    """Return the short-wave spectrum of the rail head, 0.036 n^-3.15 mm^2 m, in [m^3]."""
-    return 0.036 * MM2_IN_M2 * n**-3.15
-
-
 def iso8608_density(n: FloatArray, roughness: float) -> FloatArray:
     """Return the road spectrum G0 (n / n0)^-2 with n0 = 0.1 cycles/m, [m^3].
 
@@ -211,13 +193,6 @@ def _cross_level_density(n: FloatArray, mean: Callable[[FloatArray], FloatArray]
     return mean(n) * n**2 / (n**2 + (CROSS_LEVEL_RAD_PER_M / (2 * math.pi)) ** 2)
 
 
-def _with_short_waves(
-    n: FloatArray, density: Callable[[FloatArray], FloatArray], short_wave_from_m: float
-) -> FloatArray:
-    """Return a density in which the rail's short waves replace the spectrum, [m^3]."""
-    return np.where(n > 1 / short_wave_from_m, short_wave_density(n), density(n))
-
-
 TRACKS: dict[str, TrackSpectrum] = {
     "german_low": TrackSpectrum(
         "german_low", partial(german_density, amplitude=4.032e-7), f"German, low: {_VTCM}"
@@ -233,7 +208,6 @@ TRACKS: dict[str, TrackSpectrum] = {
             f"iso8608_{letter}",
             partial(iso8608_density, roughness=16e-6 * 4**step),
             f"class {letter.upper()} of {_ISO}",
-            "road",
         )
         for step, letter in enumerate("abcde")
     },
@@ -241,14 +215,8 @@ TRACKS: dict[str, TrackSpectrum] = {
 """Every track and road spectrum by its name in configurations."""
 
 
-def track_spectrum(
-    name: str, short_waves: bool = False, short_wave_from_m: float = 2.5
-) -> TrackSpectrum:
-    """Return the spectrum called `name`, optionally with the short waves of the rail head.
-
-    Below the wavelength `short_wave_from_m`, 0.036 n^-3.15 mm^2 m replaces the spectrum. The jump
-    between the two at 2.5 m, by a factor of 16.6 (german_low), 6.2 (german_high) or 69
-    (chinese_ballastless), is not smoothed, as in the simulator that the numbers come from.
+def track_spectrum(name: str) -> TrackSpectrum:
+    """Return the spectrum called `name`.
 
     Examples
     --------
@@ -256,22 +224,7 @@ def track_spectrum(
     1.05e-07
     """
     check_choice("track", name, sorted(TRACKS))
-    check_number("short_wave_from_m", short_wave_from_m, above=0)
-    spectrum = TRACKS[name]
-    if not short_waves:
-        return spectrum
-    if spectrum.surface != "rail":
-        raise ValueError(
-            f"`short_waves` are those of a rail head, got {name!r}, a road; leave them off"
-        )
-    return replace(
-        spectrum,
-        name=f"{name}_short_waves",
-        density=partial(
-            _with_short_waves, density=spectrum.density, short_wave_from_m=short_wave_from_m
-        ),
-        source=f"{spectrum.source}; below {short_wave_from_m:g} m: 0.036 n^-3.15 mm^2 m",
-    )
+    return TRACKS[name]
 
 
 def acceleration_density(
@@ -291,9 +244,3 @@ def acceleration_density(
     f = frequencies[moving]
     density[moving] = (2 * np.pi * f) ** 4 * spectrum.density(f / speed_m_per_s) / speed_m_per_s
     return density
-
-
-def check_band(shortest_m: float, longest_m: float) -> None:
-    """Raise ValueError unless 0 < shortest_m < longest_m < infinity."""
-    check_number("shortest_m", shortest_m, above=0)
-    check_number("longest_m", longest_m, above=shortest_m)

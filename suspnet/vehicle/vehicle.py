@@ -24,6 +24,16 @@ FREQUENCY_RANGE_HZ = (0.2, 50.0)
 """Uncoupled natural frequencies outside this range mean that a unit is wrong."""
 DAMPING_RATIO_RANGE = (1e-3, 10.0)
 """Uncoupled damping ratios outside this range mean that a unit is wrong."""
+STIFFNESS_SLIPS = (
+    "stiffness in kN/m (multiply by 1e3), or a mass in grams",
+    "stiffness 1e3 too large (the paper's Tables III and IV print kN/m where N/m is meant), or a "
+    "mass in tonnes",
+)
+DAMPING_SLIPS = (
+    "damping coefficient in kN s/m (multiply by 1e3)",
+    "damping coefficient 1e3 too large (kN s/m for N s/m)",
+)
+"""What is likely where a frequency or a damping ratio is below, and where it is above its range."""
 _FIELD = {
     "k_p": "primary_stiffness_n_per_m",
     "c_p": "primary_damping_ns_per_m",
@@ -153,9 +163,12 @@ class Vehicle:
             limits = self.known_limits
             own = {name: limits[name].to_dict() if name in limits else None for name in self.limits}
             object.__setattr__(self, "limits", own)
-        for suspension in ("primary", "secondary"):
-            _check_frequency(self, suspension, getattr(self, f"{suspension}_frequency_hz"))
-            _check_damping(self, suspension, getattr(self, f"{suspension}_damping_ratio"))
+        for which in ("primary", "secondary"):
+            frequency_hz = getattr(self, f"{which}_frequency_hz")
+            what = f"uncoupled {which} natural frequency [Hz]"
+            _check_plausible(self, what, frequency_hz, FREQUENCY_RANGE_HZ, STIFFNESS_SLIPS)
+            ratio, what = getattr(self, f"{which}_damping_ratio"), f"{which} damping ratio"
+            _check_plausible(self, what, ratio, DAMPING_RATIO_RANGE, DAMPING_SLIPS)
 
     @property
     def known_limits(self) -> dict[str, Limits]:
@@ -206,32 +219,15 @@ def check_vehicle(vehicle: object) -> None:
         raise TypeError(f"`vehicle` must be a Vehicle, got {vehicle!r}")
 
 
-def _check_frequency(vehicle: Vehicle, suspension: str, frequency_hz: float) -> None:
-    low, high = FREQUENCY_RANGE_HZ
-    if low <= frequency_hz <= high:
-        return
-    if frequency_hz < low:
-        slip = "is the stiffness in kN/m (multiply by 1e3), or a mass in grams?"
-    else:
-        slip = (
-            "is the stiffness 1e3 too large (the paper's Tables III and IV print kN/m "
-            "where N/m is meant), or a mass in tonnes?"
+def _check_plausible(
+    vehicle: Vehicle, what: str, value: float, ends: tuple[float, float], slips: tuple[str, str]
+) -> None:
+    """Raise ValueError with the likely slip if a value is below or above the ends of its range."""
+    if not ends[0] <= value <= ends[1]:
+        raise ValueError(
+            f"vehicle {vehicle.name!r}: the {what} is {value:.3g}, outside {ends[0]}-{ends[1]}; "
+            f"is the {slips[int(value > ends[1])]}? Give N/m, N s/m and kg"
         )
-    raise ValueError(
-        f"vehicle {vehicle.name!r}: the uncoupled {suspension} natural frequency is "
-        f"{frequency_hz:.3g} Hz, outside {low}-{high} Hz; {slip} Give N/m, N s/m and kg"
-    )
-
-
-def _check_damping(vehicle: Vehicle, suspension: str, ratio: float) -> None:
-    low, high = DAMPING_RATIO_RANGE
-    if low <= ratio <= high:
-        return
-    slip = "in kN s/m (multiply by 1e3)" if ratio < low else "1e3 too large (kN s/m for N s/m)"
-    raise ValueError(
-        f"vehicle {vehicle.name!r}: the {suspension} damping ratio is {ratio:.3g}, outside "
-        f"{low}-{high}; is the damping coefficient {slip}? Give N s/m"
-    )
 
 
 class ResponseGenerator:

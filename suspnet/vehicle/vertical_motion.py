@@ -313,7 +313,6 @@ def vertical_motion(layout: Layout, p: Mapping[str, Tensor]) -> LinearSystem:
 
 
 def _masses(n: Mapping[str, float], parts: Sequence[str]) -> dict[str, float]:
-    """Return each coordinate with its mass, or its moment of inertia if it is an angle."""
     bogie = n["bogie_mass"]
     pitch = bogie * (n["bogie_gyration"] / n["half_wheelbase"]) ** 2
     body_pitch = 2 * n["M_s"] * (n["body_gyration"] / n["half_pivot_distance"]) ** 2

@@ -163,7 +163,6 @@ class _Body:
 def _body(
     layout: Layout, p: Mapping[str, Tensor], omega: Tensor, first: _Bogie, other: _Bogie
 ) -> _Body:
-    """Return the equations of the body on its bogies."""
     inertia = 2 * p["M_s"] * omega**2
     total = first.resistance + other.resistance
     difference = first.resistance - other.resistance

@@ -9,6 +9,7 @@ import reference
 from protocols import shipped_protocol
 from scipy.optimize import least_squares
 
+from suspnet.bounds import information
 from suspnet.bounds.information import (
     best_possible,
     cramer_rao,
@@ -162,11 +163,12 @@ def test_information_of_both_curves_is_the_sum_of_each(quarter_car):
     np.testing.assert_allclose(parts[0] + parts[1], parts[2], rtol=1e-9, atol=1e-12 * size)
 
 
-def test_information_of_many_vehicles_equals_one_by_one(task, quarter_car):
-    ratios = task("joint", "all").sample(260, seed=0, stream=TEST)  # more than one block
+def test_information_of_many_vehicles_equals_one_by_one(task, quarter_car, monkeypatch):
+    monkeypatch.setattr(information, "ROWS", 4)
+    ratios = task("joint", "all").sample(6, seed=0, stream=TEST)  # more than one block
     together = fisher_information(OBSERVED.observer(quarter_car), ratios)
-    assert together.shape == (260, 5, 5)
-    for row in (0, 255, 256, 259):
+    assert together.shape == (6, 5, 5)
+    for row in (0, 3, 4, 5):
         alone = fisher_information(OBSERVED.observer(quarter_car), ratios[row : row + 1])[0]
         np.testing.assert_allclose(together[row], alone, rtol=1e-9)
 
@@ -182,7 +184,7 @@ def test_knowing_the_mass_never_hurts(task, quarter_car):
 # best_possible
 
 
-def best(quarter_car, problem, n=200):
+def best(quarter_car, problem, n=40):
     ratios = problem.sample(n, seed=0, stream=TEST)
     bounds = output_bounds(problem, OBSERVED.observer(quarter_car), ratios)
     return best_possible(problem, bounds, ratios), ratios
@@ -221,7 +223,6 @@ def test_best_possible_is_the_cramer_rao_bound_elsewhere(task, quarter_car, name
 @pytest.mark.parametrize(
     ("outputs", "varied"),
     [
-        (["k_s"], ("k_s", "M_s")),
         (["c_s"], ("c_s", "M_s")),
         (["k_p", "k_s"], ("k_s", "M_s")),
         (["k_p", "k_s", "c_s"], ()),
@@ -230,8 +231,8 @@ def test_best_possible_is_the_cramer_rao_bound_elsewhere(task, quarter_car, name
 def test_best_possible_is_the_bound_of_what_varies(quarter_car, outputs, varied):
     """G_s alone with the mass unknown: separable unless springs and dampers vary together."""
     groups = {"one": {"outputs": outputs, "responses": ["G_s"], "peaks": ["secondary"]}}
-    problem = shipped_protocol("own_curve", groups=groups).task("one")
-    found, ratios = best(quarter_car, problem, n=20)
+    problem = shipped_protocol("own_curve", groups=groups, step=0.1).task("one")
+    found, ratios = best(quarter_car, problem, n=3)
     assert tuple(found) == problem.outputs
     columns = [PARAMETERS.index(name) for name in varied]
     for name in outputs:

@@ -153,7 +153,7 @@ def test_information_of_three_sensors_equals_naive_matrices(parameters, count):
 def test_sensors_on_the_body_tell_nothing_beyond_its_band(body_high_hz):
     source = observer(PITCHING, body_high_hz=body_high_hz)
     noise = noise_densities(source, (5000, 2000, 2000))
-    counts = [[1, 1, 1], [0, 1, 3], [1, 0, 1], [2, 2, 1]]
+    counts = [[1, 1, 1], [1, 0, 3]]
     found = recording_information(source, DEGRADED[None], PARAMETERS, counts)[:, 0]
     every = recording_information(observer(PITCHING), DEGRADED[None], PARAMETERS, counts)[:, 0]
     for matrix, whole, count in zip(found, every, counts, strict=True):

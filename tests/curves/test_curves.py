@@ -116,17 +116,6 @@ def test_whole_curves_become_features_learnt_from_training_magnitudes(source, ta
 # property
 
 
-def test_shapes_and_outputs_of_feature_data(source):
-    data = source().features(TRAIN)
-    assert data.inputs.shape == (300, 9)
-    assert data.ratios.shape == (300, 5)
-    assert data.reasons.shape == (300, 3)
-    np.testing.assert_array_equal(data.outputs, data.ratios[:, :2])
-    assert len(source().features(TEST).inputs) == 40
-    assert len(source().features(CALIBRATE).inputs) == 150
-    assert data.valid.mean() > 0.9
-
-
 def test_noise_of_a_block_depends_on_seed_stream_and_block_only(source):
     made = source()
     ratios = np.ones((300, 5))
@@ -200,12 +189,6 @@ def test_healthy_vehicle_without_a_peak_is_rejected(source):
         ValueError, match=r"of the healthy vehicle is missing, between 2\.5 .*: secondary \("
     ):
         made.features(TEST)
-
-
-def test_more_curves_than_the_grid_holds_are_rejected(source, task):
-    made = source(problem=task(step=0.5, mass_step=0.5))
-    with pytest.raises(ValueError, match="holds 64 curves, 300 were asked for"):
-        made.features(TRAIN)
 
 
 def test_no_complete_curve_is_named():

@@ -288,7 +288,6 @@ def test_what_is_uncertain_is_drawn_with_every_curve():
         ({"rates_hz": (5000.0, 2000.0)}, r"`data\.rates_hz` must be three rates > 0"),
         ({"rates_hz": (5000.0, 2000.0, 0.0)}, r"`data\.rates_hz\[2\]` must be .* > 0, got 0.0"),
         ({"track": "moon"}, r"`track` must be one of .*'moon'"),
-        ({"track": "iso8608_a", "short_waves": True}, "`short_waves` are those of a rail head"),
         (
             {"minutes": 0.8},
             r"`data\.minutes`=0\.8 is too short: \d\.\d averages of 20 s; at least 4",

@@ -32,19 +32,6 @@ def largest_relative_jump(values):
 # reference
 
 
-def test_names_follow_the_peaks():
-    extractor = PeakFeatures(peaks=("primary_upper", "secondary"))
-    assert extractor.names == (
-        "primary_upper_position",
-        "primary_upper_height",
-        "primary_upper_width",
-        "secondary_position",
-        "secondary_height",
-        "secondary_width",
-    )
-    assert len(PeakFeatures().names) == 9
-
-
 def test_features_of_the_healthy_vehicle_are_near_its_modes(quarter_car):
     table = ALL.extract(quarter_car.magnitudes(torch.ones(1, 5), GRID), GRID)
     values = dict(zip(ALL.names, table.values[0].tolist(), strict=True))
@@ -79,17 +66,6 @@ def test_largest_primary_peak_jumps_between_the_resonances(quarter_car, name):
     assert jump > 0.5  # from one resonance to the other, 0.9-1.6 Hz to 4-7 Hz
     assert position.min() < 1.7
     assert position.max() > 4.0
-
-
-def test_largest_primary_peak_is_the_largest_of_the_two(quarter_car):
-    ratios = torch.tensor([[0.5, 1, 1, 1, 1], [2, 1, 1, 1, 1]], dtype=torch.float64)
-    values = ALL.extract(quarter_car.magnitudes(ratios, GRID), GRID).values
-    assert values[:, 10].tolist() == pytest.approx(
-        torch.maximum(values[:, 4], values[:, 7]).tolist(), rel=0.1
-    )
-    soft, stiff = values[:, LARGEST].tolist()
-    assert soft == pytest.approx(values[0, 3].item(), rel=0.02)
-    assert stiff == pytest.approx(values[1, 6].item(), rel=0.02)
 
 
 def test_primary_group_has_every_feature_without_noise(task, quarter_car):

@@ -43,12 +43,6 @@ def test_grid_of_a_group_holds_364816_curves(task, name, group):
     assert len(np.unique(whole, axis=0)) == 364_816
 
 
-def test_levels_run_from_lower_to_upper(task):
-    problem = task()
-    np.testing.assert_allclose(problem.levels("k_p")[[0, 1, 50, -1]], [0.5, 0.51, 1.0, 2.0])
-    np.testing.assert_allclose(problem.levels("M_s")[[0, 1, 5, -1]], [0.5, 0.6, 1.0, 2.0])
-
-
 def test_whole_grid_is_the_product_of_its_levels(task):
     problem = task(step=0.5, mass_step=0.75)
     levels = [problem.levels(name).tolist() for name in ("k_p", "c_p", "M_s")]
@@ -147,15 +141,6 @@ def test_calibration_vehicles_of_a_grid_begin_in_the_middle(task):
     assert len(as_set(whole)) == problem.grid_size
 
 
-def test_train_and_test_together_can_use_up_the_grid(task):
-    problem = task(step=0.1)
-    n_train = problem.grid_size - 100
-    train = as_set(problem.sample(n_train, seed=5, stream=TRAIN))
-    test = as_set(problem.sample(100, seed=5, stream=TEST))
-    assert not train & test
-    assert len(train | test) == problem.grid_size
-
-
 @pytest.mark.parametrize(("name", "group"), [("own_curve", "secondary"), ("joint", "all")])
 @pytest.mark.parametrize("stream", [TRAIN, TEST, CALIBRATE])
 def test_same_seed_gives_the_same_sample_and_another_seed_another(task, name, group, stream):
@@ -163,17 +148,6 @@ def test_same_seed_gives_the_same_sample_and_another_seed_another(task, name, gr
     first = problem.sample(256, seed=1, stream=stream)
     np.testing.assert_array_equal(first, problem.sample(256, seed=1, stream=stream))
     assert len(as_set(first) & as_set(problem.sample(256, seed=2, stream=stream))) < 10
-
-
-@pytest.mark.parametrize(("name", "group"), [("own_curve", "primary"), ("joint", "all")])
-@pytest.mark.parametrize("stream", [TRAIN, TEST, CALIBRATE])
-def test_smaller_sample_is_a_prefix_of_the_larger(task, name, group, stream):
-    problem = task(name, group)
-    larger = problem.sample(1000, seed=0, stream=stream)
-    for n_curves in (1, 100, 513):
-        np.testing.assert_array_equal(
-            problem.sample(n_curves, seed=0, stream=stream), larger[:n_curves]
-        )
 
 
 def test_sobol_points_fill_the_range_evenly(task):
@@ -185,21 +159,6 @@ def test_sobol_points_fill_the_range_evenly(task):
     slices = np.floor((train - 0.5) / 1.5 * 1024).astype(int)
     for column in slices.T:
         assert sorted(column.tolist()) == list(range(1024))
-
-
-def test_sobol_streams_differ(task):
-    problem = task("joint", "all")
-    streams = [problem.sample(512, seed=0, stream=s) for s in (TRAIN, TEST, CALIBRATE)]
-    for first, second in itertools.combinations(streams, 2):
-        assert np.abs(first - second).max() > 0.5
-        distance = np.abs(first[:, None] - second[None]).max(axis=2)
-        assert distance.min() > 1e-3
-
-
-def test_range_follows_lower_and_upper(task):
-    ratios = task("joint", "all", lower=0.9, upper=1.2).sample(64, seed=0, stream=TRAIN)
-    assert 0.9 <= ratios.min() < 0.95
-    assert 1.15 < ratios.max() <= 1.2
 
 
 @pytest.mark.parametrize(
@@ -217,13 +176,6 @@ def test_mass_switches_change_inputs_outputs_and_unknowns(task, changes, inputs,
     assert problem.unknown == unknown
     assert problem.output_indices == [PARAMETERS.index(name) for name in outputs]
     assert ("M_s" in problem.inputs) == ("mass_known" in changes)
-
-
-def test_joint_varies_all_five_parameters(task):
-    problem = task("joint", "all")
-    assert problem.varied == PARAMETERS
-    assert problem.outputs == PARAMETERS[:4]
-    assert len(problem.inputs) == 9
 
 
 def test_estimates_are_bounded_to_half_and_twice_the_range(task):

@@ -354,13 +354,6 @@ def test_average_is_over_the_chosen_segments():
     assert spectra.n_averages == segments.welch.n_averages(3)
 
 
-def test_sizes_are_whole_samples():
-    assert Welch(20.0, 0.5).sizes(5000.0) == (100_000, 50_000)
-    assert Welch(1.0, 0.0).sizes(100.0) == (100, 100)
-    assert Welch(0.51, 0.5).sizes(100.0) == (51, 25)  # scipy's overlap, round(25.5) = 26
-    assert Welch(1.0, 0.999).sizes(10.0) == (10, 1)
-
-
 # failure
 
 

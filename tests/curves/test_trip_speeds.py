@@ -155,6 +155,7 @@ def test_weak_bins_are_bridged_by_straight_lines_relative_to_healthy():
     torch.testing.assert_close(found[..., inner], expected[..., inner])
 
 
+@pytest.mark.slow
 def test_healthy_trips_of_the_own_vehicle_are_not_flagged_at_any_of_its_speeds():
     model = model_at(STILL, n_train=400, n_calibrate=100)
     for i, speed in enumerate((STILL, 0.95 * STILL, 1.05 * STILL)):

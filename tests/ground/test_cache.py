@@ -8,7 +8,7 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
-from suspnet.ground import cache, storage
+from suspnet.ground import storage
 from suspnet.ground.cache import Cache
 
 ARRAYS = {"inputs": np.arange(12.0).reshape(4, 3), "outputs": np.arange(8.0).reshape(4, 2) + 1}
@@ -117,9 +117,3 @@ def test_folder_that_is_a_file_costs_one_warning_for_each_direction(tmp_path, ca
 def test_no_folder_keeps_nothing():
     Cache(None, "features").write(MADE_FROM, ARRAYS)
     assert Cache(None, "features").read(MADE_FROM) is None
-
-
-def test_hash_is_that_of_this_package_and_of_code_that_is_there():
-    assert cache.code_hash() != cache.code_hash("vehicle") != cache.code_hash("ground/cache.py")
-    with pytest.raises(FileNotFoundError, match="no such code"):
-        cache.code_hash("dynamic")

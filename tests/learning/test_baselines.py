@@ -72,12 +72,6 @@ def test_kernel_ridge_is_msvr_without_a_tube():
     np.testing.assert_allclose(exact.fit(X, Y).predict(X), found.predict(X), atol=1e-9, rtol=0)
 
 
-def test_svr_in_threads_is_the_same():
-    X, Y = smooth_data(7)
-    one, two = (small(n_jobs=n).fit(X, Y).predict(X) for n in (1, 2))
-    np.testing.assert_array_equal(one, two)
-
-
 def test_svr_callback_counts_outputs():
     X, Y = smooth_data(9, n_samples=30)
     heard = []

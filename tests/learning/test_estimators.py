@@ -35,12 +35,19 @@ GRID = [MSVR(feature_map="equispaced")] if importlib.util.find_spec("finufft") e
 
 
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.SkipTestWarning")
-@parametrize_with_checks(ESTIMATORS)
+@parametrize_with_checks(ESTIMATORS[:2])
 def test_estimator_keeps_the_contract(estimator, check):
     check(estimator)
 
 
-OF_A_MAP = ("check_fit_idempotent", "check_methods_subset_invariance")
+@pytest.mark.slow  # their inputs and outputs are checked by the same base class
+@pytest.mark.filterwarnings("ignore::sklearn.exceptions.SkipTestWarning")
+@parametrize_with_checks([one for one in ESTIMATORS if not isinstance(one, MSVR | SVR)])
+def test_other_estimators_keep_the_contract(estimator, check):
+    check(estimator)
+
+
+OF_A_MAP = ("check_methods_subset_invariance",)
 """Checks that depend on the feature map; the others are those of `MSVR` with any.
 
 tests/learning/test_msvr.py has the model that is stored, for every map.
@@ -125,7 +132,7 @@ LAYOUTS = {
 
 @pytest.mark.filterwarnings("ignore:X (has|does not have valid) feature names")
 @pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize("estimator", by_name(ESTIMATORS + MAPPED))
+@pytest.mark.parametrize("estimator", by_name([*ESTIMATORS, MAPPED[1]]))
 def test_memory_layout_of_the_data_does_not_matter(estimator, layout):
     X, Y = smooth_data(2, n_samples=40)
     model = clone(estimator).fit(X, Y)

@@ -97,14 +97,6 @@ def test_orf_beats_rff_for_a_wide_kernel():
     assert error(orthogonal_fourier) < 0.8 * error(random_fourier)
 
 
-@pytest.mark.parametrize("name", ["rff", "orf", "nystroem"])
-def test_seed_decides_the_map(name):
-    X, make = samples(), MAPS[name].make
-    first = make(X, SIGMA, 20, 1)(X)
-    assert torch.equal(first, make(X, SIGMA, 20, 1)(X))
-    assert not torch.allclose(first, make(X, SIGMA, 20, 2)(X), atol=1e-3)
-
-
 @pytest.mark.parametrize("name", sorted(MAPS))
 def test_map_is_rebuilt_from_its_tensors(name):
     X = samples()

@@ -124,13 +124,13 @@ def test_constant_outputs_are_predicted_without_a_warning(feature_map, epsilon):
 
 
 @pytest.mark.parametrize(
-    ("C", "sigma", "n_outputs"), [(1.0, 2.0, 2), (10.0, 0.3, 2), (10.0, 2.0, 1), (1.0, 1.0, 4)]
+    ("C", "sigma", "n_outputs"), [(10.0, 0.3, 2), (10.0, 2.0, 1), (1.0, 2.0, 3)]
 )
 def test_exact_kernel_in_a_tube_starts_near_the_minimum(C, sigma, n_outputs):
     # a wide kernel has a low rank, a narrow one has not
     rng = np.random.default_rng(0)
-    X = rng.uniform(-2, 2, (600, 3))
-    Y = np.sin(X @ rng.normal(size=(3, n_outputs))) + 0.1 * rng.normal(size=(600, n_outputs))
+    X = rng.uniform(-2, 2, (450, 3))
+    Y = np.sin(X @ rng.normal(size=(3, n_outputs))) + 0.1 * rng.normal(size=(450, n_outputs))
     setting = {"C": C, "sigma": sigma, "epsilon": 0.3, "feature_map": "exact", "tol": 1e-10}
     quick = MSVR(**setting).fit(X, Y)
     printed = MSVR(**setting, solver="irwls").fit(X, Y)  # no warning

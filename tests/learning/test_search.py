@@ -7,7 +7,7 @@ from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.metrics import make_scorer, root_mean_squared_error
 from sklearn.model_selection import GridSearchCV, KFold, ParameterGrid, cross_val_score
 
-from suspnet.learning import MSVR, SVR, LinearRegression, Scaling
+from suspnet.learning import MSVR, LinearRegression, Scaling
 from suspnet.learning.search import GridSearch
 
 GRID = {"C": [0.1, 10.0], "sigma": [0.2, 1.0, 5.0]}
@@ -113,7 +113,7 @@ def test_unknown_method_is_an_error():
         search.settings_of("forest")
 
 
-SHARING = {"C": [1.0, 100.0], "epsilon": [0.0, 1e-3], "sigma": [0.5, 2.0]}
+SHARING = {"C": [1.0, 100.0], "epsilon": [0.0], "sigma": [0.5, 2.0]}
 IDENTITY_METRIC = make_scorer(root_mean_squared_error, greater_is_better=False)
 
 
@@ -126,11 +126,10 @@ IDENTITY_METRIC = make_scorer(root_mean_squared_error, greater_is_better=False)
         ),
         (MSVR(n_components=20, feature_map="nystroem"), {"C": [1.0, 10.0], "epsilon": [1e-3]}),
         (MSVR(n_components=32), {"n_components": [8, 33], "C": [1.0, 10.0]}),
-        (MSVR(n_components=32), {"feature_map": ["nystroem", "rff", "orf"], "C": [1.0, 10.0]}),
-        (SVR(), {"C": [1.0, 10.0]}),
+        (MSVR(n_components=32), {"feature_map": ["nystroem", "rff"], "C": [1.0]}),
         (LinearRegression(), {}),
     ],
-    ids=["rff", "orf", "nystroem", "components", "maps", "svr", "linear"],
+    ids=["rff", "orf", "nystroem", "components", "maps", "linear"],
 )
 def test_search_is_cross_validation_of_clones(estimator, grid):
     X, Y = smooth_data(1, n_samples=60)

@@ -141,9 +141,9 @@ PENALISED_SOLVERS = {
 
 GRID = ("Toeplitz", "MSVR equispaced")
 """Solvers on a grid, which need finufft."""
-QUICK = ("ridge with intercept", "small tube", "wide kernel", "all within the tube")
+QUICK = ("ridge with intercept", "wide kernel", "all within the tube")
 """Problems that every solver solves by default; the usual one and each path solve all."""
-ALL_BY_DEFAULT = ("alternating", "fixed", "newton", "as printed")
+ALL_BY_DEFAULT = ("alternating", "as printed")
 STEP_BY_STEP = ("fixed", "one output"), ("fixed", "wide tube")
 """Where the equations of a fixed Gram matrix alone take thousands of iterations."""
 

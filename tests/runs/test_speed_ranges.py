@@ -44,11 +44,6 @@ def test_each_range_is_trained_in_a_folder_of_its_own(tmp_path):
     assert "other" not in rows[0]
 
 
-def test_process_that_writes_nothing_leaves_no_table(tmp_path):
-    train_ranges(speed_ranges([40.0, 60.0], 0.1), lambda *_: {}, tmp_path)
-    assert list(tmp_path.iterdir()) == []
-
-
 @pytest.mark.parametrize(
     ("speeds", "half_width", "message"),
     [

@@ -115,7 +115,7 @@ def test_hyperparameters_are_checked_before_curves_are_made(
     monkeypatch.setattr(Problem, "curves", lambda *_: pytest.fail("curves are made"))
     for folder in (None, tmp_path / "run"):
         with pytest.raises(ValueError, match=message):
-            trained(model, "multi_location", "primary", tmp_path, folder, *SMALL, setting)
+            trained(model, "multi_location", "primary", folder, *SMALL, setting)
 
 
 def test_a_folder_with_files_of_others_is_left_as_it_is(tmp_path):

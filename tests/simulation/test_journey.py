@@ -125,16 +125,6 @@ def test_about_every_fifth_stretch_is_slow():
     assert np.mean(wander) == pytest.approx(0.01, rel=0.1)
 
 
-def test_ripple_zero_cruises_at_one_speed():
-    journey = service_journey(40.0, 1200.0, 0, seed=0, ripple=0.0)
-    tops = journey.speeds_m_per_s[1:-1]
-    assert np.ptp(tops) == 0
-    # the whole distance: cruise, and half the speed while the ramps last
-    top = float(tops[0])
-    expected = top * (1200 - top / 0.4 - top / 0.6) + top**2 / 0.8 + top**2 / 1.2
-    assert journey.distance_m == pytest.approx(expected, rel=1e-9)
-
-
 # failure
 
 

@@ -98,13 +98,6 @@ def test_quarter_car_has_its_springs_and_dampers_scattered():
 # limit
 
 
-@pytest.mark.parametrize("generator", [FAMILY, QuarterCar(AM96)])
-def test_no_scatter_leaves_the_generator_as_it_is(generator):
-    assert scattered(generator, 0.0, seed=5) is generator
-    for name, one in true_numbers(generator).items():
-        assert one["ratio"] == QUANTITY[name].median if name in QUANTITY else 1.0
-
-
 def test_numbers_of_absent_parts_are_left_out():
     names = true_numbers(scattered(VerticalVehicle(AM96), 1.0, 0))
     assert "bending_frequency" not in names
@@ -113,15 +106,6 @@ def test_numbers_of_absent_parts_are_left_out():
 
 
 # property
-
-
-def test_scatter_multiplies_the_deviations():
-    one, half = (true_numbers(scattered(FAMILY, scale, 4)) for scale in (1.0, 0.5))
-    for name, number in one.items():
-        assert number["ratio"] > 0 or not QUANTITY[name].median
-        if QUANTITY[name].deviation:
-            whole, less = (standardised(name, x[name]["ratio"]) for x in (one, half))
-            assert less == pytest.approx(whole / 2, abs=1e-12)
 
 
 # failure

@@ -426,7 +426,6 @@ def test_both_sides_of_a_vehicle_without_roll_are_rejected(tmp_path):
     ("changes", "message"),
     [
         ({"track": "moon"}, "`track` must be one of .*'moon'"),
-        ({"track": "iso8608_a", "short_waves": True}, "`short_waves` are those of a rail head"),
         ({"sensors": {"roof": {}}}, r"`sensors` must be named as in .*\['roof'\]"),
         ({"sensors": {"body": {"rate_hz": 0.0}}}, "`sensor.rate_hz` must be a finite number > 0"),
     ],

@@ -21,22 +21,6 @@ PAIRS = ("axle_box_axle1", "frame_axle1", "body")
 # reference
 
 
-def test_outputs_are_the_twelve_parts_and_the_mass():
-    expected = [
-        *(
-            f"{kind}_p_axle{axle}_{side}"
-            for axle in "12"
-            for side in ("left", "right")
-            for kind in "kc"
-        ),
-        *(f"{kind}_s_{side}" for side in ("left", "right") for kind in "kc"),
-        "M_s",
-    ]
-    assert list(COMPONENTS) == expected
-    assert SpatialVehicle(AM96).columns[:14] == (*COMPONENTS, "speed")
-    assert len(COMPONENTS) == 13
-
-
 def test_ratios_are_relative_to_the_own_healthy_part():
     generator = SpatialVehicle(AM96)
     names = generator.columns

@@ -38,10 +38,6 @@ def naive_chinese(n):
     return mm2_m / 1e6
 
 
-def naive_short(n):
-    return 0.036 / n**3.15 / 1e6
-
-
 NAIVE = {
     "german_low": lambda n: naive_german(n, 4.032e-7),
     "german_high": lambda n: naive_german(n, 1.08e-6),
@@ -97,23 +93,6 @@ def test_band_rms_is_the_published_one(name, rms_mm):
 def test_band_rms_of_a_road_is_the_closed_form():
     rms = band_rms(track_spectrum("iso8608_a"), 0.5, 100.0)
     assert rms == pytest.approx(math.sqrt(16e-8 * (100.0 - 0.5)), rel=1e-9, abs=0)
-
-
-def test_band_rms_adds_up_across_the_jump_to_the_short_waves():
-    joined = track_spectrum("german_low", short_waves=True)
-    parts = [band_rms(track_spectrum("german_low"), 2.5, 25.0), band_rms(joined, 0.1, 2.5)]
-    # The integral of 0.036e-6 n^-3.15 from 0.4 to 10 cycles/m.
-    assert parts[1] ** 2 == pytest.approx(0.036e-6 / 2.15 * (0.4**-2.15 - 10**-2.15), rel=1e-8)
-    assert band_rms(joined, 0.1, 25.0) == pytest.approx(math.hypot(*parts), rel=1e-8, abs=0)
-
-
-@pytest.mark.parametrize("name", RAILS)
-def test_short_waves_replace_the_spectrum_below_their_wavelength(name):
-    joined = track_spectrum(name, short_waves=True, short_wave_from_m=2.5)
-    expected = [naive_short(n) if n > 0.4 else NAIVE[name](n) for n in FREQUENCIES]
-    np.testing.assert_allclose(joined.density(np.array(FREQUENCIES)), expected, rtol=1e-12, atol=0)
-    assert "2.5 m" in joined.source
-    assert joined.name == f"{name}_short_waves"
 
 
 @pytest.mark.parametrize("name", ["german_low", "chinese_ballastless", "iso8608_c"])
@@ -248,16 +227,12 @@ def test_profile_reaches_its_length(length, step, n_points):
     ("call", "message"),
     [
         (lambda: track_spectrum("swiss"), r"one of \('chinese_ballastless', .*got 'swiss'"),
-        (lambda: track_spectrum("iso8608_a", short_waves=True), "those of a rail head"),
-        (lambda: track_spectrum("german_low", True, -1.0), "`short_wave_from_m` must be a finite"),
         (lambda: acceleration_density(TRACKS["german_low"], [1.0], 0.0), "`speed_m_per_s` must"),
         (lambda: acceleration_density(TRACKS["german_low"], [math.nan], 70.0), "`frequencies_hz`"),
         (lambda: make_profile(TRACKS["german_low"], 0.05, 0.1, 0), "`length_m` must be at least"),
         (lambda: make_profile(TRACKS["german_low"], 10, 0.1, 0, 0.2001), "no wave of the period"),
         (lambda: wave(0.1, 1.0, n_points=101).at([1.0, 10.01]), "must lie in 0 to 10 m"),
         (lambda: wave(0.1, 1.0, n_points=101).at(math.nan), "must lie in 0 to 10 m"),
-        (lambda: TrackProfile(0.1, *np.zeros((2, 4)), np.zeros(3)), "must have the shape"),
-        (lambda: TrackProfile(0.1, np.zeros(4), np.full(4, np.nan), np.zeros(4)), "be finite"),
     ],
 )
 def test_what_is_out_of_range_is_refused(call, message):

@@ -9,7 +9,7 @@ import pytest
 from suspnet.cli.config_files import CONFIGS
 from suspnet.cli.kinds import read_vehicles
 from suspnet.ground.parameters import DEFAULT_LIMITS
-from suspnet.vehicle import PARAMETERS, QuarterCar
+from suspnet.vehicle import QuarterCar
 from suspnet.vehicle.vehicle import GEOMETRY
 
 VEHICLES = read_vehicles()
@@ -71,12 +71,6 @@ def test_geometry_is_complete_or_absent(name):
 def test_natural_frequencies_are_those_of_a_vehicle(name):
     frequencies_hz, _ = QuarterCar(VEHICLES[name]).natural_modes()
     assert 0.3 < frequencies_hz[0] < frequencies_hz[1] < 50.0
-
-
-def test_no_two_vehicles_are_the_same():
-    values = {vehicle.healthy_values() for vehicle in VEHICLES.values()}
-    assert len(values) == len(VEHICLES)
-    assert all(len(numbers) == len(PARAMETERS) for numbers in values)
 
 
 def test_folder_without_vehicles_says_so(tmp_path):

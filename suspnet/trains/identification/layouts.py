@@ -152,7 +152,7 @@ class _Trip:
         low = LOW_HZ if settings.low_hz is None else settings.low_hz
         high = HIGH_HZ if settings.high_hz is None else settings.high_hz
         bins = torch.arange(low, high + 1e-9, SPACING_HZ, dtype=torch.float64)
-        track = track_spectrum(settings.track, settings.short_waves)
+        track = track_spectrum(settings.track)
         density = acceleration_density(track, bins.numpy(), vehicle.speed_m_per_s)
         noise = _noise(vehicle, medians, track, settings)
         n_averages = 60 * settings.minutes * SPACING_HZ

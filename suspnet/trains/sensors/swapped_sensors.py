@@ -45,7 +45,7 @@ from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.spectra.bogie_trip import BogieTrip, smallest_noise
 from suspnet.vehicle import SpatialVehicle, VerticalVehicle
 from suspnet.vehicle.quantities import MASS_MEAN
-from suspnet.vehicle.vehicle_family import OTHER_END
+from suspnet.vehicle.vertical_vehicle import OTHER_END
 
 Item = TypeVar("Item")
 CLEARER = 1.25

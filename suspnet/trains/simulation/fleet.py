@@ -71,10 +71,6 @@ class Fleet:
         FORWARD, "Direction of travel; both alternates from trip to trip, forward first"
     )
     track: str = setting("german_low", "Roughness of the track, as the line's", rule="as track")
-    short_waves: bool = setting(
-        False,
-        "Whether to add the short waves of a rail head to the track, below 2.5 m; not on roads",
-    )
     rate_hz: float | None = setting(
         None, "Sampling rate of all sensors; null is each one's own", "Hz", above=0, most=1e6
     )
@@ -98,7 +94,7 @@ class Fleet:
 
     def __post_init__(self) -> None:
         check_settings(self)
-        track_spectrum(self.track, self.short_waves)
+        track_spectrum(self.track)
         self.loggers()
 
     def loggers(self) -> dict[str, Sensor]:

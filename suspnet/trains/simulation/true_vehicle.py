@@ -14,7 +14,7 @@ from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
 from suspnet.vehicle import PARAMETERS, QuarterCar, SpatialVehicle, VerticalVehicle
 from suspnet.vehicle.quantities import QUANTITIES, LogNormal
-from suspnet.vehicle.vehicle_family import VehicleFamily
+from suspnet.vehicle.vertical_vehicle import VehicleFamily
 
 MAX_DRAWS = 100
 """Largest number of draws in the search for a physical vehicle."""

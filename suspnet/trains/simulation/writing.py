@@ -281,7 +281,7 @@ def _profiles(
     seeds: Sequence[np.random.SeedSequence],
 ) -> list[TrackProfile]:
     """Return the profile of the mean of both rails, and those of what else drives the system."""
-    mean = track_spectrum(fleet.track, fleet.short_waves)
+    mean = track_spectrum(fleet.track)
     spectra = [mean]
     if system.roll_per_m:
         spectra.append(cross_level_spectrum(mean))
@@ -351,7 +351,6 @@ def _outputs(generator: ResponseGenerator) -> tuple[str, ...]:
 
 
 def _of_left_sensors(system: LinearSystem) -> LinearSystem:
-    """Return a system that is measured at its first sensor of each place alone."""
     n = 3 if len(system.sensors) == 6 else 2
     direct = None if system.feedthrough is None else system.feedthrough[:n]
     return replace(system, sensors=system.sensors[:n], feedthrough=direct)

@@ -299,7 +299,6 @@ def _peak(windows: _Windows, used: BoolArray, k: int, certainty: float) -> _Peak
 
 
 def _mean(values: FloatArray, valid: BoolArray, rows: IntArray) -> FloatArray:
-    """Return the mean of the valid values of some rows; NaN without any."""
     chosen = valid[rows]
     n = chosen.sum(axis=0)
     total = np.where(chosen, values[rows], 0.0).sum(axis=0)
