@@ -231,16 +231,17 @@ def test_language_ends_with_its_block():
 
 
 def test_page_of_a_file_is_german_and_escapes_what_it_is_given():
-    values = {"rows": [], "outputs": ("k_p",), "finding": finding([{"severity": "unknown"}])}
-    values |= {"most_severe": "", "bogies": [], "n_bogies": 0}
+    values = {"rows": [], "parameters": ("k_p",), "finding": finding([{"severity": "unknown"}])}
+    values |= dict.fromkeys(("most_severe", "no_part", "plan", "sisters", "bogies"), "")
+    values |= {"n_bogies": 0, "address": None}
     with speaking("de"):
-        page = render("overview.html", **values)
+        page = render("fleet.html", **values)
         assert '<html lang="de">' in page
         assert "1 Federung: 1 nicht bewertet." in page
         assert "Zuletzt bei" in page
-        evil = render("overview.html", **values | {"finding": of("<script>", "act")})
+        evil = render("fleet.html", **values | {"finding": of("<script>", "act")})
         assert "&lt;script&gt;: Eingriff" in evil
-    assert '<html lang="en">' in render("overview.html", **values)
+    assert '<html lang="en">' in render("fleet.html", **values)
 
 
 def test_mails_are_german():

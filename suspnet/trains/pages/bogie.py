@@ -16,7 +16,6 @@ from suspnet.trains.maintenance.judge import ABSURD
 from suspnet.trains.maintenance.plan import place_of
 from suspnet.trains.maintenance.schedule import Plan
 from suspnet.trains.maintenance.state import State
-from suspnet.trains.pages.overview import REPORT, Evaluated, FleetView
 from suspnet.trains.pages.tables import interval_digits
 from suspnet.trains.pages.templates import level, shown_number
 
@@ -105,36 +104,23 @@ def bogie_of(state: State, plan: Plan | None = None) -> Bogie | None:
     return Bogie(parts, {letter: group_words(*group) for letter, group in groups.items()})
 
 
-def bogies_shown(view: FleetView, chosen: Iterable[int] | None = None) -> dict[str, Any]:
-    """Return the bogies of a fleet, those with findings first, for the macro `fleet`.
+def bogies_shown(
+    entries: Iterable[tuple[str, str, State]], plan: Plan | None = None
+) -> dict[str, Any]:
+    """Return the bogies of suspensions, those with findings first, for the macro `fleet`.
 
-    `chosen` are indices of the states, None: all. The values are "bogies", each with its place and
-    its name in URLs, "n_bogies", the number of bogies whose parts are read, and "no_part", a
+    `entries` are the place, the name in URLs and the state of each. The values are "bogies", each
+    with its place and name, "n_bogies", the number of bogies whose parts are read, and "no_part", a
     sentence if there are none.
     """
-    several = list(range(len(view.states)) if chosen is None else chosen)
-    read = [i for i in several if set(BOGIE_PARTS) & set(view.states[i].outputs)]
+    several = list(entries)
+    read = [entry for entry in several if set(BOGIE_PARTS) & set(entry[2].outputs)]
+    worst = sorted(read, key=lambda entry: -entry[2].severity)[:MAX_BOGIES]
     return {
-        "bogies": [
-            (view.rows[i]["where"], view.names[i], bogie_of(view.states[i], view.plan))
-            for i in sorted(read, key=lambda i: -view.states[i].severity)[:MAX_BOGIES]
-        ],
+        "bogies": [(where, name, bogie_of(state, plan)) for where, name, state in worst],
         "n_bogies": len(read),
         "no_part": "" if read or not several else NONE_NAMED,
     }
-
-
-def bogies_of(done: Iterable[Evaluated]) -> dict[str, Any]:
-    """Return the bogies of a folder's suspensions, in the order given; see `bogies_shown`.
-
-    The name of each is the path of its report.
-    """
-    drawn = [
-        (str(suspension.place), f"{suspension.name}/{REPORT}", bogie)
-        for suspension in done
-        if suspension.state is not None and (bogie := bogie_of(suspension.state)) is not None
-    ]
-    return {"bogies": drawn[:MAX_BOGIES], "n_bogies": len(drawn)}
 
 
 def _level(state: State, name: str) -> tuple[str, str]:

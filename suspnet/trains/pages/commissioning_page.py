@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
@@ -13,7 +12,6 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
 
 from suspnet._version import __version__
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
@@ -29,34 +27,22 @@ from suspnet.trains.fits.bogie_fit import EXPLAINED
 from suspnet.trains.fits.commissioning import Commissioned
 from suspnet.trains.identification import commissioning_summary as words
 from suspnet.trains.identification.healthy_trips import HealthyTrips
-from suspnet.trains.pages.tables import band
 from suspnet.trains.pages.templates import render
+from suspnet.trains.pages.trip_figures import band
 from suspnet.trains.recordings.manifest import CHANNELS
 
 log = logging.getLogger(__name__)
 NAME = "commissioning"
 """Base name of the files."""
-CAPTIONS = {
-    "responses": (
-        "Measured and commissioned responses",
-        "Above: by how much each suspension amplifies vibration of each frequency, and its phase, "
-        "on the trip with the least noise. The commissioned vehicle should lie on the measured "
-        "curve where its grey band is narrow. Below: the residual of each stretch (grey) and the "
-        "rms of all (blue), over the noise; 1 is noise alone, and a peak far above it is a "
-        "frequency at which the vehicle moves as the model cannot.",
-    ),
-    "numbers": (
-        "Numbers before and after the trips",
-        "Each bar is a median with one standard deviation to both sides, over the value of the "
-        "drawing. A short blue bar is a number that the trips determine; a blue bar as long "
-        "as the grey one is a number that they do not determine.",
-    ),
-}
+HEADING = N_("Measured and commissioned responses")
+EXPLANATION = N_(
+    "Above: by how much each suspension amplifies vibration of each frequency, and its phase, on "
+    "the trip with the least noise. The commissioned vehicle should lie on the measured curve "
+    "where its grey band is narrow. Below: the residual of each stretch (grey) and the rms of all "
+    "(blue), over the noise; 1 is noise alone, and a peak far above it is a frequency at which the "
+    "vehicle moves as the model cannot."
+)
 MEASURED, NOMINAL, FITTED = "0.7", "tab:orange", "tab:blue"
-ROW_INCH = 0.21
-"""Height of a row of the figure of numbers, [inch]."""
-LEAST_RATIO = 0.05
-"""Smallest ratio to the drawing that is shown: the axis is logarithmic."""
 
 
 def write_outcome(
@@ -65,16 +51,15 @@ def write_outcome(
     outcome: Commissioned,
     bogie: CommissionedBogie | None = None,
 ) -> None:
-    """Write page, numbers (JSON), curves (tables) and figures of a commissioned vehicle.
+    """Write page, numbers (JSON), curves (tables) and a figure of a commissioned vehicle.
 
     If each part is read, `bogie` shows them, and the vehicle is for trips that do not.
     """
-    drawn = {"numbers": number_ranges(words.numbers(outcome))}
+    drawn = None
     if healthy.groups:
-        drawn["responses"] = responses(healthy, outcome)
+        drawn = responses(healthy, outcome)
         write_table(pa.concat_tables(_curves(healthy, outcome)), folder / f"{NAME}_responses")
-    for name, figure in drawn.items():
-        write_atomically(folder / "figures" / f"{NAME}_{name}.png", as_png(figure))
+        write_atomically(folder / "figures" / f"{NAME}_responses.png", as_png(drawn))
     write_json(folder / f"{NAME}.json", as_json(healthy, outcome, bogie))
     page = _page(healthy, outcome, drawn, bogie)
     path = write_atomically(folder / f"{NAME}.html", page.encode("utf-8", errors="replace"))
@@ -130,7 +115,7 @@ def as_json(
 def _page(
     healthy: HealthyTrips,
     outcome: Commissioned,
-    drawn: Mapping[str, Figure],
+    drawn: Figure | None,
     bogie: CommissionedBogie | None = None,
 ) -> str:
     by_part = bogie is not None
@@ -165,15 +150,12 @@ def _page(
         doubts=doubts,
         agreement="" if doubts or by_part else words.agreement(outcome),
         reference=words.reference(outcome),
-        figures=[
-            {
-                "heading": gettext(heading),
-                "explanation": gettext(text),
-                "image": data_uri(drawn[name]),
-            }
-            for name, (heading, text) in CAPTIONS.items()
-            if name in drawn
-        ],
+        figure=drawn
+        and {
+            "heading": gettext(HEADING),
+            "explanation": gettext(EXPLANATION),
+            "image": data_uri(drawn),
+        },
         groups=groups,
         untold=words.untold(numbers),
         scale=words.force_scale(vehicle.bogie_mass_kg),
@@ -304,38 +286,6 @@ def responses(healthy: HealthyTrips, outcome: Commissioned) -> Figure:
         axis.set_ylabel(label)
     figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     figure.align_ylabels(axes)
-    return figure
-
-
-def number_ranges(numbers: Sequence[words.Number]) -> Figure:
-    """Draw the median and one standard deviation of each number, before and after, over nominal.
-
-    Numbers that are usually 0 have no nominal value to be drawn over; the table holds them.
-    """
-    numbers = [number for number in numbers if number.quantity.median]
-    height = 1.2 + ROW_INCH * len(numbers)
-    figure = Figure(figsize=(9.0, height), layout="constrained")
-    axis = figure.subplots()
-    places = -np.arange(len(numbers), dtype=float)
-    styles: tuple[tuple[str, str, dict[str, Any]], ...] = (
-        ("prior", "before", {"color": "0.65", "lw": 5, "solid_capstyle": "butt"}),
-        ("posterior", "after the trips", {"color": FITTED, "lw": 2, "marker": "o", "ms": 3}),
-    )
-    for which, label, style in styles:
-        for place, number in zip(places, numbers, strict=True):
-            ends = np.array(getattr(number, which)) / (number.nominal or 1.0)
-            axis.plot(np.maximum(ends, LEAST_RATIO), [place] * 3, markevery=[1], **style)
-        axis.plot([], [], label=label, **style)
-    axis.set(xscale="log", xlabel="over the value of the drawing", ylim=(places[-1] - 1, 1))
-    axis.set_yticks(
-        places, [spoken(number.quantity.meaning) for number in numbers], fontsize="x-small"
-    )
-    ticks = (0.2, 0.5, 1, 2, 5)
-    axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-    axis.xaxis.set_minor_formatter(NullFormatter())
-    axis.axvline(1, color="0.4", lw=0.8)
-    axis.grid(True, axis="x", alpha=0.3)
-    figure.legend(loc="outside upper center", ncols=2)
     return figure
 
 

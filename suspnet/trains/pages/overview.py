@@ -17,7 +17,7 @@ from suspnet.ground.storage import content_hash
 from suspnet.trains.history.schema import BadRow
 from suspnet.trains.maintenance.alarms import Acknowledgement, newest_of
 from suspnet.trains.maintenance.schedule import Plan
-from suspnet.trains.maintenance.series import of_same_car
+from suspnet.trains.maintenance.series import make_series, of_same_car
 from suspnet.trains.maintenance.state import State
 from suspnet.trains.pages.failing_sensors import dead_words, sensor_words
 
@@ -51,27 +51,17 @@ class Evaluated:
         """Whether each of its trips has an estimate."""
         return not self.error and all(result.status == OK for result in self.results)
 
-    def row(self, outputs: Sequence[str]) -> dict[str, Any]:
+    def row(self) -> dict[str, Any]:
         """Return the suspension as one flat row of the overview."""
-        state, reason = self.state, Finding("not-read", error=self.error)
-        return {
-            "suspension": self.place.suspension or self.name,
-            "bogie": self.place.bogie,
-            "side": self.place.side,
-            "train": self.place.train,
-            "car": self.place.car,
-            "severity": str(self.severity),
-            "parameter": state.parameters if state else "",
-            **{f"{name}_last": state.furthest(name) if state else np.nan for name in outputs},
-            "last_mileage_km": state.last_km if state else np.nan,
-            "n_trips": len(self.results),
-            "n_estimated": sum(r.status == OK for r in self.results),
-            "n_flagged": sum(bool(r.flags) for r in self.results),
-            "reason": state.reason if state else reason,
-            "sensors": dead_words(self.results),
-            "folder": self.name,
-            "report": "" if self.error else f"{self.name}/{REPORT}",
-        }
+        state = self.state or State(make_series([], {}, place=self.place))
+        row = _row(state, {})
+        row["where"] = row["where"] or self.name
+        row["suspension"] = self.place.suspension or self.name
+        if self.error:
+            row |= {"severity": str(self.severity), "reason": Finding("not-read", error=self.error)}
+        row["sensors"] = dead_words(self.results)
+        report = "" if self.error else f"{self.name}/{REPORT}"
+        return row | {"folder": self.name, "report": report}
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +89,14 @@ class FleetView:
     is_complete: bool = False
     trouble: str = ""
     bad_rows: tuple[BadRow, ...] = ()
+
+    @property
+    def entries(self) -> list[tuple[str, str, State]]:
+        """Place, name in URLs and state of each suspension."""
+        return [
+            (row["where"], name, state)
+            for row, name, state in zip(self.rows, self.names, self.states, strict=True)
+        ]
 
 
 def fleet_view(

@@ -61,13 +61,6 @@ CAPTIONS = {
             "suspension."
         ),
     ),
-    "quality": (
-        N_("Quality of the recordings"),
-        N_(
-            "More averages, a coherence nearer to 1 and a larger usable share make the estimates "
-            "of a trip more certain."
-        ),
-    ),
 }
 SMALL_SHOWN = N_(
     "each dot is a trip and 100 % is healthy, the line is the median of five neighbouring trips, "
@@ -121,7 +114,7 @@ def write_report(
 ) -> Path:
     """Write one self-contained HTML file atomically; return its path.
 
-    The figures "trend", "responses", "signals" and "quality" come first, in this order and with an
+    The figures "trend", "responses" and "signals" come first, in this order and with an
     explanation; others follow under their own names. `small` are the trends of each parameter where
     parts of a bogie are read.
     """
@@ -165,6 +158,7 @@ def write_report(
             state, {name: data_uri(drawn) for name, drawn in (small or {}).items()}
         ),
         small_words=gettext(SMALL_SHOWN).format(**shown),
+        trend=_embedded("trend", figures["trend"], shown) if "trend" in figures else None,
         figures=[_embedded(name, figures[name], shown) for name in _ordered(figures)],
         table=table,
         sensors=sensor_rows(state.series),
@@ -314,7 +308,7 @@ def _commonest(reasons: Iterable[str]) -> str:
 
 
 def _ordered(figures: Mapping[str, Figure]) -> list[str]:
-    explained = [name for name in CAPTIONS if name in figures]
+    explained = [name for name in CAPTIONS if name in figures and name != "trend"]
     return explained + [name for name in figures if name not in CAPTIONS]
 
 
