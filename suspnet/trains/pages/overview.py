@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, field
 from datetime import UTC, datetime
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -89,6 +90,16 @@ class FleetView:
     is_complete: bool = False
     trouble: str = ""
     bad_rows: tuple[BadRow, ...] = ()
+
+    @cached_property
+    def jobs(self) -> dict[tuple[str, str, str], dict[str, dict[str, Any]]]:
+        """Rows of the plan's visits, by ``place_of`` of the suspension and by parameter."""
+        jobs: dict[tuple[str, str, str], dict[str, dict[str, Any]]] = {}
+        for row in self.plan.rows() if self.plan else []:
+            if row["day"]:
+                place = row["train"], row["car"], row["suspension"]
+                jobs.setdefault(place, {})[row["parameter"]] = row
+        return jobs
 
     @property
     def entries(self) -> list[tuple[str, str, State]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import astuple, dataclass
 from typing import Any
 
@@ -12,8 +11,8 @@ from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import BODY_MASS, KIND_NAMES, Cause, Severity, part_words
 from suspnet.ground.storage import content_hash, finite_or_none
 from suspnet.trains.maintenance.alarms import Alarm, newest_of
+from suspnet.trains.maintenance.assessment import Assessment
 from suspnet.trains.maintenance.plan import place_of
-from suspnet.trains.maintenance.state import State
 from suspnet.trains.pages.bogie import bogie_of
 from suspnet.trains.pages.overview import ID_DIGITS, FleetView
 
@@ -64,8 +63,7 @@ class WorkOrder:
 
 def all_work_orders(view: FleetView) -> list[WorkOrder]:
     """Return the work orders of a fleet, in the order of its states: the most severe first."""
-    jobs = _jobs(view)
-    return [order for index in range(len(view.states)) for order in _orders(view, index, jobs)]
+    return [order for index in range(len(view.states)) for order in work_orders(view, index)]
 
 
 def work_orders(view: FleetView, index: int) -> list[WorkOrder]:
@@ -74,60 +72,51 @@ def work_orders(view: FleetView, index: int) -> list[WorkOrder]:
     There is one for each parameter or part whose severity is notice or act, each sensor with an
     active alarm, and each part that the plan has a visit for.
     """
-    return _orders(view, index, _jobs(view))
-
-
-Jobs = dict[tuple[str, str, str, str], dict[str, Any]]
-"""Rows of the plan's visits by train, car, suspension and parameter."""
-
-
-def _jobs(view: FleetView) -> Jobs:
-    rows = view.plan.rows() if view.plan else []
-    return {
-        (row["train"], row["car"], row["suspension"], row["parameter"]): row
-        for row in rows
-        if row["day"]
-    }
-
-
-def _orders(view: FleetView, index: int, jobs: Jobs) -> list[WorkOrder]:
     state = view.states[index]
-    place = place_of(state)
-    due = {
-        name: job
-        for name in state.outputs
-        if name != BODY_MASS and (job := jobs.get((*place, name)))
-    }
-    severities = {own.parameter: own.severity for own in state.assessments}
-    severities.pop(BODY_MASS, None)
-    named = [name for name, level in severities.items() if level >= Severity.NOTICE or name in due]
-    named.sort(key=lambda name: -severities[name])
-    sensors = [alarm for alarm in state.alarms if alarm.cause == Cause.SENSOR]
-    return [
-        *(_of_part(view, index, name, due.get(name, {})) for name in named),
-        *(_of_sensor(view, index, alarm) for alarm in sensors),
-    ]
+    jobs = view.jobs.get(place_of(state), {})
+    own = [a for a in state.assessments if a.parameter != BODY_MASS]
+    due = [a for a in own if a.severity >= Severity.NOTICE or a.parameter in jobs]
+    due.sort(key=lambda assessment: -assessment.severity)
+    orders = [_of_part(view, index, a, jobs.get(a.parameter, {})) for a in due]
+    for alarm in (alarm for alarm in state.alarms if alarm.cause == Cause.SENSOR):
+        orders.append(
+            WorkOrder(
+                **_shared(view, index, alarm.parameter, [alarm]),
+                part=Finding("order-for-sensor", name=alarm.parameter),
+                work=INSPECT,
+                severity=str(alarm.severity),
+                why=alarm.words,
+            )
+        )
+    return orders
 
 
-def _of_part(view: FleetView, index: int, name: str, job: dict[str, Any]) -> WorkOrder:
-    state = view.states[index]
-    (assessment,) = (own for own in state.assessments if own.parameter == name)
-    alarms = state.alarms_of(name)
+def _of_part(view: FleetView, index: int, own: Assessment, job: dict[str, Any]) -> WorkOrder:
+    state, name = view.states[index], own.parameter
     drawn = bogie.parts.get(name) if (bogie := bogie_of(state)) else None
     groups = [bogie.groups[letter] for letter in drawn.group.split()] if bogie and drawn else []
-    life = state.lives.get(name)
-    unknown = state.unknown.get(name, "")
+    life, unknown = state.lives.get(name), state.unknown.get(name, "")
+    # the interval is the median of the leading trips without a flag
+    last, leading, now = state.last_of(name), state.leading(name), state.now(name)
+    clear = ~leading.flagged
+    ends = [np.median(end[clear]) if clear.any() else np.nan for end in (leading.low, leading.high)]
+    nearer = last.high if now < 1 else last.low
+    alike = np.sign(now - 1) * (nearer - 1) > 0  # False without an interval
     return WorkOrder(
-        **_shared(view, index, name, alarms),
+        **_shared(view, index, name, state.alarms_of(name)),
         part=part_words(name) if drawn else KIND_NAMES.get(name, name),
-        work=job["what"] if job.get("what") in ("replace", INSPECT) else INSPECT,
-        severity=str(assessment.severity),
-        why=assessment.words,
-        **_level(state, name),
+        work=job["what"] if job.get("what") == "replace" else INSPECT,
+        severity=str(own.severity),
+        why=own.words,
+        value_percent=finite_or_none(100 * now),
+        low_percent=finite_or_none(100 * float(ends[0])),
+        high_percent=finite_or_none(100 * float(ends[1])),
+        n_alike=int(alike.sum()),
+        n_last=len(last.values),
         odds=drawn.odds if drawn else "",
         group=together(groups),
         doubt=together((state.doubt, unknown and Finding("remaining-life", unknown=unknown))),
-        visit=job.get("day") or None,
+        visit=job.get("day"),
         decide_by=job.get("decide_by") or None,
         is_passed=life is not None and life.interval_km()[1] == 0,
         until_km=finite_or_none(state.last_km + life.quantile_km(0.1)) if life else None,
@@ -136,27 +125,19 @@ def _of_part(view: FleetView, index: int, name: str, job: dict[str, Any]) -> Wor
     )
 
 
-def _of_sensor(view: FleetView, index: int, alarm: Alarm) -> WorkOrder:
-    return WorkOrder(
-        **_shared(view, index, alarm.parameter, [alarm]),
-        part=Finding("order-for-sensor", name=alarm.parameter),
-        work=INSPECT,
-        severity=str(alarm.severity),
-        why=alarm.words,
-    )
-
-
 def _shared(view: FleetView, index: int, name: str, alarms: list[Alarm]) -> dict[str, Any]:
     """Return the fields of an order that parts and sensors have in common."""
-    state, key = view.states[index], view.states[index].key
-    place = key[1]
+    state = view.states[index]
+    (vehicle, place), series = state.key, state.series
     since_km = min((alarm.begin_km for alarm in alarms), default=None)
+    starts = [] if since_km is None else series.start[series.mileage_km == since_km]
+    days = [str(start.astype("datetime64[D]")) for start in starts if not np.isnat(start)]
     worst = max(alarms, key=lambda alarm: alarm.severity, default=None)
-    seen = worst and newest_of(worst, view.acknowledged.get(key, ()))
+    seen = worst and newest_of(worst, view.acknowledged.get(state.key, ()))
     return {
-        "number": content_hash([key[0], *astuple(place), name, since_km])[:ID_DIGITS],
+        "number": content_hash([vehicle, *astuple(place), name, since_km])[:ID_DIGITS],
         "suspension": view.names[index],
-        "vehicle": key[0],
+        "vehicle": vehicle,
         "train": place.train,
         "car": place.car,
         "position": place.suspension,
@@ -164,32 +145,8 @@ def _shared(view: FleetView, index: int, name: str, alarms: list[Alarm]) -> dict
         "side": place.side,
         "parameter": name,
         "since_km": since_km,
-        "since": None if since_km is None else _day_of(state, since_km),
+        "since": days[0] if days else None,
         "acknowledged_by": seen.by if seen else "",
         "acknowledged_at": seen.at if seen else None,
         "action": seen.words if seen else "",
-    }
-
-
-def _day_of(state: State, km: float) -> str | None:
-    """Return the day of the trip at a mileage; None if its start is unknown."""
-    at = np.flatnonzero(state.series.mileage_km == km)
-    starts = state.series.start[at]
-    return str(starts[0].astype("datetime64[D]")) if len(at) and not np.isnat(starts[0]) else None
-
-
-def _level(state: State, name: str) -> dict[str, Any]:
-    last, leading = state.last_of(name), state.leading(name)
-    clear, side = ~leading.flagged, np.sign(state.now(name) - 1)
-    nearer = np.where(side < 0, last.high, last.low)
-    alike = side * (nearer - 1) > 0  # False without an interval
-    both = leading.low[clear], leading.high[clear]
-    ends = (np.median(end) if clear.any() else math.nan for end in both)
-    low, high = (finite_or_none(100 * float(end)) for end in ends)
-    return {
-        "value_percent": finite_or_none(100 * state.now(name)),
-        "low_percent": low,
-        "high_percent": high,
-        "n_alike": int(alike.sum()),
-        "n_last": len(last.values),
     }
