@@ -57,7 +57,7 @@ def text_of(page):
 def test_page_is_german_where_it_is_asked_for(commissioned):
     drawn = Figure(figsize=(1, 1))
     with speaking("de"):
-        text = text_of(figures._page(*commissioned, drawn))
+        text = text_of(page_of(*commissioned, drawn))
     for said in (
         "Inbetriebnahme von am96",
         "Das Fahrzeug erklärt seine gesunden Fahrten (3 Fahrten): Die Abweichung ist das 0,",
@@ -243,7 +243,7 @@ def test_what_healthy_means_is_german_with_its_laws(commissioned):
     )
     drawn = Figure(figsize=(1, 1))
     with speaking("de"):
-        text = text_of(figures._page(found, replace(outcome, laws=Laws(None, law)), drawn))
+        text = text_of(page_of(found, replace(outcome, laws=Laws(None, law)), drawn))
     sentence = text[text.index("Gesund heißt jetzt, was diese Fahrten zeigten: 100 % sind k p =") :]
     assert "(± eine Standardabweichung)." in sentence[:200]
     assert not re.search(r"\b(loses|compared|more|across)\b", sentence[:600])

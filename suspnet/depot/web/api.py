@@ -19,7 +19,7 @@ from werkzeug.exceptions import HTTPException
 from suspnet import __version__
 from suspnet.depot.web import api_models as models
 from suspnet.depot.web.access import identify_program
-from suspnet.depot.web.service import current_service
+from suspnet.depot.web.service import current_refresher, opened_store, stored_trips
 from suspnet.ground.findings import as_plain, together
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, NAMES, Severity, part_words
 from suspnet.ground.records import TripResult
@@ -27,11 +27,10 @@ from suspnet.trains.maintenance.alarms import Alarm, newest_of
 from suspnet.trains.maintenance.assessment import Assessment
 from suspnet.trains.maintenance.state import State
 from suspnet.trains.pages.overview import FleetView
-from suspnet.trains.pages.work_order import WorkOrder, all_work_orders, work_orders
 
 ROOT = "/api/v1"
 WORDS = (
-    "Suspensions of a fleet with their verdicts, parts, alarms, trips, plan and work orders. "
+    "Suspensions of a fleet with their verdicts, parts, alarms, trips and plan. "
     "Estimates are relative to healthy; names of fields end in their unit. No answer is a safety "
     "decision."
 )
@@ -105,22 +104,11 @@ def parts(view: FleetView, query: models.Paged, index: int) -> Iterable[Row]:
     return (_part(state, own) for own in state.assessments if own.parameter != BODY_MASS)
 
 
-@_answers("/suspensions/<id>/trips", models.OfTrips, models.TripAnswer)
-def trips(view: FleetView, query: models.OfTrips, index: int) -> Iterable[Row]:
-    """List the trips of a suspension by mileage."""
-    service = current_service()
-    with service.opened() as store:
-        results = service.trips(store, view.states[index])
-    low = -np.inf if query.from_km is None else query.from_km
-    high = np.inf if query.to_km is None else query.to_km
-    is_all = query.from_km is None and query.to_km is None  # also those without a mileage
-    return (_trip(result) for result in results if is_all or low <= result.mileage_km <= high)
-
-
-@_answers("/suspensions/<id>/work-orders", models.Paged, WorkOrder)
-def orders_of_suspension(view: FleetView, query: models.Paged, index: int) -> Iterable[Row]:
-    """List the work orders of a suspension."""
-    return map(asdict, work_orders(view, index))
+@_answers("/suspensions/<id>/trips", models.Paged, models.TripAnswer)
+def trips(view: FleetView, query: models.Paged, index: int) -> Iterable[Row]:
+    """List the trips of a suspension, the newest first."""
+    with opened_store() as store:
+        return map(_trip, reversed(stored_trips(store, view.states[index])))
 
 
 @_answers("/alarms", models.OfAlarms, models.AlarmAnswer)
@@ -147,16 +135,6 @@ def plan(view: FleetView, query: models.OfFleet) -> Iterable[Row]:
         row
         for row in (view.plan.rows() if view.plan else [])
         if query.train in (None, row["train"]) and query.severity in (None, row["severity"])
-    )
-
-
-@_answers("/work-orders", models.OfFleet, WorkOrder)
-def all_orders(view: FleetView, query: models.OfFleet) -> Iterable[Row]:
-    """List the work orders of the fleet, those of the worst suspensions first."""
-    return (
-        asdict(order)
-        for order in all_work_orders(view)
-        if query.train in (None, order.train) and query.severity in (None, order.severity)
     )
 
 
@@ -208,7 +186,8 @@ def _query(model: type[Query]) -> Query:
 
 
 def _read_view() -> FleetView:
-    view, fault = current_service().view, current_service().refresher.fault
+    refresher = current_refresher()
+    view, fault = refresher.board.view, refresher.fault
     if not view.version or (view.trouble and not view.states):
         abort(503, fault or "The history is being read for the first time.")
     return view
@@ -223,11 +202,11 @@ def _index(view: FleetView, id: str) -> int:
 def _listed(query: Any, rows: Iterable[Row]) -> Row:
     """Return the requested rows of a list."""
     every, end = list(rows), query.offset + query.limit
-    service = current_service()
+    refresher = current_refresher()
     return {
-        "read_at": service.refresher.read_at.isoformat(timespec="seconds"),
-        "complete": service.view.is_complete,
-        "fault": service.refresher.fault,
+        "read_at": refresher.read_at.isoformat(timespec="seconds"),
+        "complete": refresher.board.view.is_complete,
+        "fault": refresher.fault,
         "total": len(every),
         "next_offset": end if end < len(every) else None,
         "items": every[query.offset : end],

@@ -24,25 +24,14 @@ ID = r"^[0-9a-f]{12}$"
 """Pattern of the name of a suspension in addresses."""
 
 
-def _check_text(pattern: str, rule: str) -> BeforeValidator:
-    """Return a check of the text of a number in a query, as Python takes more than JSON does."""
-
-    def check(value: Any) -> Any:
-        if isinstance(value, str) and not re.fullmatch(pattern, value, re.A):
-            raise ValueError(f"must be a {rule}")
-        return value
-
-    return BeforeValidator(check)
+def _check_whole(value: Any) -> Any:
+    """Check the text of a number in a query, as Python takes more than JSON does."""
+    if isinstance(value, str) and not re.fullmatch(r"-?\d{1,10}", value, re.A):
+        raise ValueError("must be a whole number")
+    return value
 
 
-_WHOLE = _check_text(r"-?\d{1,10}", "whole number")
-_Km = Annotated[
-    float,
-    Field(allow_inf_nan=False),
-    _check_text(r"-?\d+(\.\d+)?([eE][+-]?\d+)?", "number"),
-]
-
-
+_WHOLE = BeforeValidator(_check_whole)
 Number = Annotated[float | None, BeforeValidator(finite_or_none)]
 """A number of an answer, null where it is unknown or infinite."""
 Day = Annotated[str | None, BeforeValidator(lambda text: text or None)]
@@ -76,7 +65,7 @@ class OfFleet(Paged):
     train: str | None = None
     """Name of the train; all if it is missing."""
     severity: SeverityName | None = None
-    """Severity of the suspension, or of the alarm or work order; all if it is missing."""
+    """Severity of the suspension, of the alarm or of the part of a job; all if it is missing."""
 
 
 class OfAlarms(OfFleet):
@@ -86,15 +75,6 @@ class OfAlarms(OfFleet):
     """Whether the alarm is acknowledged; all if it is missing."""
     active: Literal["true", "false"] | None = None
     """Whether the alarm is active; all, also cleared ones, if it is missing."""
-
-
-class OfTrips(Paged):
-    """Which trips are asked for."""
-
-    from_km: _Km | None = None
-    """Lowest mileage [km]."""
-    to_km: _Km | None = None
-    """Highest mileage [km]."""
 
 
 class FindingAnswer(Answer):

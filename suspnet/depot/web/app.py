@@ -27,7 +27,7 @@ from suspnet.depot.web.access import ACCESS, Access, is_admitted
 from suspnet.depot.web.api import ROOT, api, http_problem, problem
 from suspnet.depot.web.health import health
 from suspnet.depot.web.pages import message_page, pages
-from suspnet.depot.web.service import SERVICE, FleetService
+from suspnet.depot.web.service import SERVICE
 from suspnet.runs.language import N_, best_of, check_language, choose, gettext, spoken
 from suspnet.trains.history import HistoryError
 from suspnet.trains.pages.board import Refresher, clock
@@ -77,7 +77,7 @@ def create_app(
     app.before_request(functools.partial(_choose_language, language))
     protected = protect(app, hosts)
     # the blueprints find fleet and rights among the extensions
-    app.extensions[SERVICE] = FleetService(refresher)
+    app.extensions[SERVICE] = refresher
     app.extensions[ACCESS] = access or Access()
     app.register_blueprint(pages)
     app.register_blueprint(api)

@@ -13,7 +13,7 @@ from typing import Any
 from flask import Blueprint, Response
 
 from suspnet.depot.web.access import is_admitted
-from suspnet.depot.web.service import current_service
+from suspnet.depot.web.service import current_refresher, opened_store
 from suspnet.ground.extras import import_extra
 from suspnet.trains.history import HistoryError
 
@@ -26,7 +26,7 @@ def healthz() -> tuple[dict[str, Any], int]:
 
     The reason, which names the store, is left out where a login is configured.
     """
-    refresher = current_service().refresher
+    refresher = current_refresher()
     fault, read_at = refresher.fault, refresher.read_at.isoformat(timespec="seconds")
     reason = fault if is_admitted() else ""
     content = {"status": "failing" if fault else "ok", "fault": reason, "read_at": read_at}
@@ -51,8 +51,8 @@ class _FleetMetrics:
     def collect(self) -> Iterable[Any]:
         from prometheus_client.core import GaugeMetricFamily as Gauge
 
-        service = current_service()
-        refresher, view = service.refresher, service.view
+        refresher = current_refresher()
+        view = refresher.board.view
         read_s = refresher.read_at.timestamp()
         is_up = 0 if refresher.fault else 1
         yield Gauge("suspnet_up", "Whether the pages follow the store", is_up)
@@ -68,7 +68,7 @@ class _FleetMetrics:
         )
         yield _by("suspnet_active_alarms", "Active alarms", ["severity", "cause"], active)
         try:
-            with service.opened() as store:
+            with opened_store() as store:
                 n_waiting, n_given_up, oldest_s = store.outbox().count_unsent()
         except HistoryError:  # suspnet_up reports it
             return

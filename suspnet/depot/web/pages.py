@@ -28,14 +28,15 @@ from wtforms import HiddenField, StringField
 from wtforms.validators import DataRequired, Length, ValidationError
 
 from suspnet.depot.web.access import MAX_NAME, identify_visitor, is_plain, visitor
-from suspnet.depot.web.service import current_service
+from suspnet.depot.web.service import current_refresher, opened_store, stored_trips
 from suspnet.ground.findings import of
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, NAMES, PARAMETERS, Severity
 from suspnet.ground.records import INTERVAL_LEVEL, outputs_of
 from suspnet.ground.wording import natural
 from suspnet.runs.figures import as_svg
-from suspnet.runs.language import N_, current, day, gettext, spoken
+from suspnet.runs.language import N_, current, gettext, spoken
 from suspnet.trains.history import HistoryError
+from suspnet.trains.history.store import acknowledge_alarms
 from suspnet.trains.maintenance.alarms import Alarm, newest_of
 from suspnet.trains.maintenance.plan import place_of
 from suspnet.trains.maintenance.schedule import Plan, joined
@@ -53,7 +54,6 @@ from suspnet.trains.pages.tables import files_read_as, sensor_rows, trip_table
 from suspnet.trains.pages.templates import MARKS
 from suspnet.trains.pages.trend import health_trend, small_trends, trend_of_state
 from suspnet.trains.pages.trip_figures import response_figure
-from suspnet.trains.pages.work_order import work_orders
 
 MAX_ROWS = 50  # largest number of rows of a table of the fleet, unless all are requested
 MAX_JOBS = 10  # largest number of jobs on the page of the fleet; the page of the plan has all
@@ -151,7 +151,7 @@ def trend(name: str) -> ResponseReturnValue:
 @pages.get("/suspension/<name>/responses.svg")
 def responses(name: str) -> ResponseReturnValue:
     """Return the figure of the frequency responses."""
-    with current_service().opened() as store:
+    with opened_store() as store:
         stored = store.responses(*_state(name).key)
     if not stored:
         abort(404)
@@ -207,7 +207,10 @@ def acknowledge(name: str) -> ResponseReturnValue:
         )
         return redirect(_address(name))
     by, action = form.by.data.strip(), (form.words.data or "").strip()
-    current_service().acknowledge(state, chosen, by, action)
+    newest_km = float(np.nanmax(state.series.mileage_km))
+    with opened_store(to_write=True) as store:
+        acknowledge_alarms(store, *state.key, chosen, newest_km, by, action)
+    current_refresher().soon()
     session["by"] = by
     alarms = ", ".join(f"{alarm.parameter} ({gettext(str(alarm.cause))})" for alarm in chosen)
     words = gettext("Acknowledged by %(name)s: %(alarms)s.")
@@ -215,40 +218,23 @@ def acknowledge(name: str) -> ResponseReturnValue:
     return redirect(_address(name))
 
 
-@pages.get("/suspension/<name>/work-order")
-def work_order(name: str) -> ResponseReturnValue:
-    """Return the work orders of a suspension as a page to print."""
-    _state(name)
-    view, read_at = _view(), current_service().refresher.read_at.astimezone()
-    index = view.keys[name]
-    return _page(
-        "work_order_page.html",
-        _suspension_version(view, name),
-        of=name,
-        name=name,
-        row=view.rows[index],
-        orders=work_orders(view, index),
-        read_at=day(f"{read_at:%Y-%m-%d %H:%M}"),  # with the day: for paper
-    )
-
-
 @pages.get("/state")
 def state() -> ResponseReturnValue:
     """Return the version of a page's state and when it was read; cheap, as pages poll it."""
     view, name = _view(), request.args.get("of", "")
     version = _suspension_version(view, name) if name else _fleet_version(view)
-    return {"version": version, "words": spoken(current_service().refresher.words)}
+    return {"version": version, "words": spoken(current_refresher().words)}
 
 
 def _suspension_page(name: str, form: AcknowledgementForm) -> str:
-    view, state, service = _view(), _state(name), current_service()
+    view, state = _view(), _state(name)
     index, version = view.keys[name], _suspension_version(view, name)
     results, stored, trouble = [], [], ""
     seen, bad_rows = view.acknowledged.get(state.key, ()), []
     try:
-        with service.opened() as store:
+        with opened_store() as store:
             bad_rows = store.bad_rows
-            results, seen = service.trips(store, state), store.acknowledgements(*state.key)
+            results, seen = stored_trips(store, state), store.acknowledgements(*state.key)
             stored = store.responses(*state.key)  # last: damaged curves must not hide the trips
     except HistoryError as error:
         trouble = str(error)
@@ -268,7 +254,6 @@ def _suspension_page(name: str, form: AcknowledgementForm) -> str:
         name=name,
         form=form,
         visitor=visitor(),
-        has_work=bool(work_orders(view, index)),
         trouble=trouble,
         bad_rows=list(dict.fromkeys(bad_rows)),
         kinds=OUTPUTS,
@@ -294,7 +279,7 @@ def _suspension_page(name: str, form: AcknowledgementForm) -> str:
 
 def _page(template: str, version: str, of: str = "", **values: Any) -> str:
     """Return a page; the browser replaces it when `version` changes, never if it is empty."""
-    shared = {"view": _view(), "refresher": current_service().refresher}
+    shared = {"view": _view(), "refresher": current_refresher()}
     return render_template(template, version=version, of=of, **shared, **values)
 
 
@@ -304,7 +289,7 @@ def message_page(title: str, words: str) -> str:
 
 
 def _view() -> FleetView:
-    return current_service().view
+    return current_refresher().board.view
 
 
 def _state(name: str) -> State:
@@ -419,7 +404,7 @@ def _suspension_version(view: FleetView, name: str) -> str:
 
 
 def _digest(*values: Any) -> str:
-    values = (*values, current_service().refresher.fault)
+    values = (*values, current_refresher().fault)
     return hashlib.sha256(repr(values).encode()).hexdigest()[:16]
 
 

@@ -42,7 +42,7 @@ def write_maintenance(history: History, folder: Path, settings: BoardSettings) -
     history.keep_all_alarms({state.key: state.watched.alarms for state in states})
     acknowledged = history.all_acknowledgements()
     planned = plan_of(states, settings.plan, settings.day())
-    view = fleet_view(states, own, acknowledged, planned)
+    view = fleet_view(states, acknowledged, planned)
     write_fleet(view, planned, plan_calendar(planned), folder)
     counts = Counter(str(state.severity) for state in states)
     write_json(

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, date, datetime
 from pathlib import Path
@@ -25,10 +24,9 @@ from suspnet.trains.maintenance.state import State, by_urgency
 from suspnet.trains.pages.overview import FleetView, fleet_view
 
 log = logging.getLogger(__name__)
-SHOWN_S = 5.0  # a refresh that takes longer shows a partial result at this interval
 LOOK_S = 1.0  # timeout for a lock of the store by other programs
 READ_AT_ONCE = 100  # suspensions that are read in one transaction
-AT_ONCE = 50  # suspensions updated between two checks of the elapsed time
+AT_ONCE = 50  # suspensions above which a refresh shows what it has before it is complete
 
 
 @dataclass(frozen=True)
@@ -72,8 +70,8 @@ class Board:
 
     Only suspensions whose revision in the store changed are read and recomputed, and compared with
     their sisters. The rates of wear of a fleet, and with them the lives of all its suspensions, are
-    learnt again as ``FleetStates`` says. A long refresh shows partial results every ``SHOWN_S``:
-    first the suspensions with the alarms in the store.
+    learnt again as ``FleetStates`` says. A long refresh first shows new suspensions with the alarms
+    in the store, then all alarms, and last the lives and the plan.
 
     Sister alarms are written to the store, as no other program finds them while trips are
     monitored; alarms of limits and changes are stored by the evaluation of the trips. They are
@@ -90,7 +88,6 @@ class Board:
         self._fleet = FleetStates(self._limits, settings.changes, settings.sisters, settings.seed)
         self._view = FleetView()
         self._revisions: dict[Key, int] = {}
-        self._early: dict[Key, State] = {}
         self._unstored: set[Key] = set()
         self._stored: dict[Key, list[Alarm]] = {}
         self._plan: Plan | None = None
@@ -99,7 +96,6 @@ class Board:
         self._file: tuple[int, int] | None = None
         self._is_doubted = False
         self._store_fault = ""
-        self._shown_at = 0.0
         self._lock = threading.Lock()
 
     @property
@@ -140,13 +136,13 @@ class Board:
             self._read(history, revisions, changed)
         self._file, self._is_doubted = file, False
         if self._is_due:
-            # lives of the whole fleet, as its rates of wear may have changed
-            while not self._fleet.predict(SHOWN_S):
+            if len(changed) > AT_ONCE:
                 self._show(history, is_complete=False)
+            # lives of the whole fleet, as its rates of wear may have changed
+            self._fleet.predict()
             self._plan = plan_of(self._fleet.states(), self.settings.plan, day)
             self._show(history, is_complete=True)
             self._day, self._is_due = day, False
-            self._early.clear()
         elif (
             self._view.trouble
             or history.all_acknowledgements() != self._view.acknowledged
@@ -168,47 +164,35 @@ class Board:
                 self._limits[vehicle] = self.settings.limits_of(vehicle)
             except ValueError as error:  # of a vehicle that is not in the settings
                 raise HistoryError(f"{history}: vehicle {vehicle}: {error}") from None
-        # new suspensions are shown at once, with the alarms in the store
         new = [own for own in series if own.key not in self._revisions]
-        if new or self._view.bad_rows:
-            alarms = history.all_alarms()
-            self._early |= {
-                own.key: State(own, self._limits[own.vehicle], Watched(alarms.get(own.key, [])))
-                for own in new
-            }
+        # read also for few: rows of alarms that cannot be read are shown
+        alarms = history.all_alarms() if new or self._view.bad_rows else {}
         if len(new) > AT_ONCE:
-            self._show(history, is_complete=False)
+            early = [
+                State(own, self._limits[own.vehicle], Watched(alarms.get(own.key, [])))
+                for own in new
+            ]
+            self._show(history, early, is_complete=False)
         gone = self._fleet.keys() - revisions.keys()
         gone |= set(changed) - {own.key for own in series}
-        self._is_due |= bool(gone)
-        self._note(self._fleet.update([], gone))
-        self._unstored -= gone
+        updated = self._fleet.update(series, gone)
+        self._is_due |= bool(gone or updated)
+        self._unstored = (self._unstored | updated) - gone
         self._stored = {key: alarms for key, alarms in self._stored.items() if key not in gone}
-        # recompute the others in parts, and show partial results of a long refresh
-        for begin in range(0, len(series), AT_ONCE):
-            self._note(self._fleet.update(series[begin : begin + AT_ONCE]))
-            if time.monotonic() - self._shown_at > SHOWN_S:
-                self._show(history, is_complete=False)
         self._revisions = revisions
 
-    def _note(self, keys: set[Key]) -> None:
-        self._is_due |= bool(keys)
-        self._unstored |= keys
-
-    def _show(self, history: History, *, is_complete: bool) -> None:
+    def _show(self, history: History, early: Sequence[State] = (), *, is_complete: bool) -> None:
+        """Show the computed states, and `early` ones of suspensions that have none."""
         states = self._fleet.states()
         keys = {state.key for state in states}
-        early = [state for key, state in self._early.items() if key not in keys]
         self._view = fleet_view(
-            by_urgency([*states, *early]),
-            dict(self._limits),
+            by_urgency([*states, *(state for state in early if state.key not in keys)]),
             history.all_acknowledgements(),
             self._plan,
             version=self._view.version + 1,
             is_complete=is_complete,
             bad_rows=history.bad_rows,
         )
-        self._shown_at = time.monotonic()
 
     def _store_alarms(self, history: History) -> None:
         """Store sister alarms that differ from those found last."""

@@ -1,4 +1,4 @@
-"""The files of a commissioned vehicle: a page, figures, numbers and curves."""
+"""The files of a commissioned vehicle: a page, a figure and numbers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -19,7 +18,7 @@ from suspnet.estimation.flags import INCOMPLETE
 from suspnet.estimation.relative_velocity import NOTE as VELOCITY
 from suspnet.estimation.temperature import NOTE
 from suspnet.ground.findings import Finding, together
-from suspnet.ground.storage import printable, write_atomically, write_json, write_table
+from suspnet.ground.storage import printable, write_atomically, write_json
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.runs.figures import SUSPENSIONS, as_png, data_uri, say
 from suspnet.runs.language import N_, gettext, spoken
@@ -27,7 +26,7 @@ from suspnet.trains.fits.bogie_fit import EXPLAINED
 from suspnet.trains.fits.commissioning import Commissioned
 from suspnet.trains.identification import commissioning_summary as words
 from suspnet.trains.identification.healthy_trips import HealthyTrips
-from suspnet.trains.pages.templates import render
+from suspnet.trains.pages.templates import write_page
 from suspnet.trains.pages.trip_figures import band
 from suspnet.trains.recordings.manifest import CHANNELS
 
@@ -36,8 +35,8 @@ NAME = "commissioning"
 """Base name of the files."""
 HEADING = N_("Measured and commissioned responses")
 EXPLANATION = N_(
-    "Above: by how much each suspension amplifies vibration of each frequency, and its phase, on "
-    "the trip with the least noise. The commissioned vehicle should lie on the measured curve "
+    "Above: by how much each suspension amplifies vibration of each frequency on the trip with the "
+    "least noise. The commissioned vehicle should lie on the measured curve "
     "where its grey band is narrow. Below: the residual of each stretch (grey) and the rms of all "
     "(blue), over the noise; 1 is noise alone, and a peak far above it is a frequency at which the "
     "vehicle moves as the model cannot."
@@ -51,18 +50,17 @@ def write_outcome(
     outcome: Commissioned,
     bogie: CommissionedBogie | None = None,
 ) -> None:
-    """Write page, numbers (JSON), curves (tables) and a figure of a commissioned vehicle.
+    """Write page, numbers (JSON) and a figure of a commissioned vehicle.
 
     If each part is read, `bogie` shows them, and the vehicle is for trips that do not.
     """
     drawn = None
     if healthy.groups:
         drawn = responses(healthy, outcome)
-        write_table(pa.concat_tables(_curves(healthy, outcome)), folder / f"{NAME}_responses")
         write_atomically(folder / "figures" / f"{NAME}_responses.png", as_png(drawn))
     write_json(folder / f"{NAME}.json", as_json(healthy, outcome, bogie))
-    page = _page(healthy, outcome, drawn, bogie)
-    path = write_atomically(folder / f"{NAME}.html", page.encode("utf-8", errors="replace"))
+    values = _page_values(healthy, outcome, drawn, bogie)
+    path = write_page(folder / f"{NAME}.html", "commissioning.html", **values)
     log.info("-> %s", path)
 
 
@@ -98,7 +96,7 @@ def as_json(
     return {
         "suspnet_version": __version__,
         "vehicle": generator.vehicle.name,
-        "suspension": _place(healthy),
+        "suspension": str(healthy.manifests[0].place),
         "parts": list(generator.parts),
         "verdict": [*of_parts, equal, *healthy.doubts, *words.doubts(outcome, by_part=by_part)],
         "threshold": INCOMPLETE,
@@ -112,12 +110,12 @@ def as_json(
     }
 
 
-def _page(
+def _page_values(
     healthy: HealthyTrips,
     outcome: Commissioned,
     drawn: Figure | None,
     bogie: CommissionedBogie | None = None,
-) -> str:
+) -> dict[str, Any]:
     by_part = bogie is not None
     doubts = [*healthy.doubts, *words.doubts(outcome, by_part=by_part)]
     # where each part is read, the parts come first and the vehicle of equal sides after them
@@ -137,69 +135,65 @@ def _page(
         meaning = spoken(number.quantity.meaning)
         row = words.cells(number) | {"meaning": meaning[0].upper() + meaning[1:]}
         groups.setdefault(words.PART_TITLES[number.quantity.part], []).append(row)
-    vehicle = outcome.generator.vehicle
-    return render(
-        "commissioning.html",
-        title=spoken(Finding("commissioning", name=vehicle.name)),
-        headline=_headline(healthy, vehicle.name),
-        mileage_km=training_notes(healthy, outcome)["mileage_km"],
-        of_parts=of_parts,
-        reads_equal=bool(healthy.groups),
-        tone="notice" if doubts else "plain" if by_part else "good",
-        verdict=words.as_equal(outcome) if by_part else words.verdict(healthy, outcome),
-        doubts=doubts,
-        agreement="" if doubts or by_part else words.agreement(outcome),
-        reference=words.reference(outcome),
-        figure=drawn
+    vehicle, n_left = outcome.generator.vehicle, len(healthy.left_out)
+    n_trips = len(healthy.manifests)
+    sensors: list[str] = [
+        Finding("left-and-right" if pair else "one-sensor", channel=channel.replace("_", " "))
+        for channel, pair in zip(CHANNELS, healthy.paired, strict=True)
+    ]
+    if healthy.vehicle is not None and healthy.vehicle.sensors and not healthy.groups:
+        sensors = [place.replace("_", " ") for place in healthy.vehicle.sensors]
+    return {
+        "title": spoken(Finding("commissioning", name=vehicle.name)),
+        "headline": {
+            "Vehicle": vehicle.name,
+            "Suspension": str(healthy.manifests[0].place),
+            "Trips": Finding("trips-and-left-out", n=n_trips, n_left=n_left)
+            if n_left
+            else str(n_trips),
+            "Sensors": together(sensors, ", "),
+        },
+        "mileage_km": training_notes(healthy, outcome)["mileage_km"],
+        "of_parts": of_parts,
+        "reads_equal": bool(healthy.groups),
+        "tone": "notice" if doubts else "plain" if by_part else "good",
+        "verdict": words.as_equal(outcome) if by_part else words.verdict(healthy, outcome),
+        "doubts": doubts,
+        "agreement": "" if doubts or by_part else words.agreement(outcome),
+        "reference": words.reference(outcome),
+        "figure": drawn
         and {
             "heading": gettext(HEADING),
             "explanation": gettext(EXPLANATION),
             "image": data_uri(drawn),
         },
-        groups=groups,
-        untold=words.untold(numbers),
-        scale=words.force_scale(vehicle.bogie_mass_kg),
-        trips=_trips(healthy, outcome),
-        left_out=healthy.left_out,
-        threshold=INCOMPLETE,
-        details={
+        "groups": groups,
+        "untold": words.untold(numbers),
+        "scale": words.force_scale(vehicle.bogie_mass_kg),
+        "trips": _trips(healthy, outcome),
+        "left_out": healthy.left_out,
+        "threshold": INCOMPLETE,
+        "details": {
             "trips": str(healthy.manifests[0].path.parent),
             N_("parts"): ", ".join(outcome.generator.parts).replace("_", " ")
             or "rigid bodies only",
             "suspnet": __version__,
             "date": datetime.now().astimezone().isoformat(" ", "seconds"),
         },
-    )
-
-
-def _headline(healthy: HealthyTrips, vehicle: str) -> dict[str, str]:
-    pairs: list[str] = [
-        Finding("left-and-right" if pair else "one-sensor", channel=channel.replace("_", " "))
-        for channel, pair in zip(CHANNELS, healthy.paired, strict=True)
-    ]
-    if healthy.vehicle is not None and healthy.vehicle.sensors and not healthy.groups:
-        pairs = [place.replace("_", " ") for place in healthy.vehicle.sensors]
-    n, n_left = len(healthy.manifests), len(healthy.left_out)
-    return {
-        "Vehicle": vehicle,
-        "Suspension": _place(healthy),
-        "Trips": Finding("trips-and-left-out", n=n, n_left=n_left) if n_left else str(n),
-        "Sensors": together(pairs, ", "),
     }
-
-
-def _place(healthy: HealthyTrips) -> str:
-    return str(healthy.manifests[0].place)
 
 
 def _trips(healthy: HealthyTrips, outcome: Commissioned) -> list[dict[str, Any]]:
     """Return what page and JSON show of each trip."""
     rows = []
     for i, manifest in enumerate(healthy.manifests):
-        pairs = zip(healthy.groups, outcome.misfits, strict=True)
-        groups = [_group(group, misfit) for group, misfit in pairs if group.trip == i]
+        read = [
+            (group, misfit)
+            for group, misfit in zip(healthy.groups, outcome.misfits, strict=True)
+            if group.trip == i
+        ]
         if not healthy.groups:  # these trips show their parts only
-            groups = [_group(healthy.of_parts[i], None)]
+            read = [(healthy.of_parts[i], None)]
         ratio = float(outcome.masses[i])
         rows.append(
             {
@@ -208,37 +202,17 @@ def _trips(healthy: HealthyTrips, outcome: Commissioned) -> list[dict[str, Any]]
                 "start": "" if manifest.start is None else manifest.start.isoformat(),
                 "mass_ratio": ratio,
                 "mass_kg": ratio * outcome.generator.vehicle.body_mass_kg,
-                "groups": groups,
+                "groups": [
+                    {
+                        "speed_m_per_s": group.speed_m_per_s,
+                        "n_averages": group.spectra.n_averages,
+                        "misfit": misfit,
+                    }
+                    for group, misfit in read
+                ],
             }
         )
     return rows
-
-
-def _group(trip: Any, misfit: float | None) -> dict[str, float | None]:
-    averages = trip.spectra.n_averages
-    return {"speed_m_per_s": trip.speed_m_per_s, "n_averages": averages, "misfit": misfit}
-
-
-def _curves(healthy: HealthyTrips, outcome: Commissioned) -> list[pa.Table]:
-    left = residuals(outcome)
-    tables = []
-    for i, group in enumerate(healthy.groups):
-        n_bins = len(outcome.frequencies_hz)
-        name = group.name.encode("utf-8", errors="replace").decode()  # as a file's may be
-        columns: dict[str, Any] = {
-            "trip": [name] * n_bins,
-            "speed_m_per_s": np.full(n_bins, group.speed_m_per_s),
-            "frequency_hz": outcome.frequencies_hz,
-        }
-        for link, suffix in enumerate(("p", "s")):
-            for what in ("observed", "nominal", "fitted"):
-                response = getattr(outcome, what)[i, link]
-                columns[f"{what}_magnitude_{suffix}"] = np.abs(response)
-                columns[f"{what}_phase_rad_{suffix}"] = np.angle(response)
-            columns[f"deviation_{suffix}"] = outcome.deviations[i, link]
-            columns[f"residual_over_noise_{suffix}"] = left[i, link]
-        tables.append(pa.table(columns))
-    return tables
 
 
 def residuals(outcome: Commissioned) -> FloatArray:
@@ -255,8 +229,8 @@ def responses(healthy: HealthyTrips, outcome: Commissioned) -> Figure:
     group = int(np.argmin(np.median(outcome.deviations, axis=(1, 2))))  # with the least noise
     measured = healthy.groups[group]
     frequencies_hz, left = outcome.frequencies_hz, residuals(outcome)
-    figure = Figure(figsize=(9.0, 8.4), layout="constrained")
-    axes = figure.subplots(3, 2, sharex=True, sharey="row", height_ratios=(3, 2, 2))
+    figure = Figure(figsize=(9.0, 6.4), layout="constrained")
+    axes = figure.subplots(2, 2, sharex=True, sharey="row", height_ratios=(3, 2))
     km, km_per_h = healthy.manifests[measured.trip].mileage_km, 3.6 * measured.speed_m_per_s
     where = Finding("measured-at", km=km, km_per_h=km_per_h)
     curves: tuple[tuple[ComplexArray, str, dict[str, Any]], ...] = (
@@ -265,37 +239,22 @@ def responses(healthy: HealthyTrips, outcome: Commissioned) -> Figure:
         (outcome.fitted, "commissioned vehicle", {"color": FITTED, "lw": 1.0}),
     )
     for link, (title, column) in enumerate(zip(SUSPENSIONS, axes.T, strict=True)):
-        magnitude, phase, below = column
+        magnitude, below = column
         magnitude.set(title=title)
         ends = band(np.abs(outcome.observed[group, link]), outcome.deviations[group, link])
         style = {"color": MEASURED, "alpha": 0.4, "lw": 0, "label": "95 % band"}
         magnitude.fill_between(frequencies_hz, *ends, **style)
         for values, label, style in curves:
-            response = values[group, link]
-            magnitude.semilogy(frequencies_hz, np.abs(response), label=label, **style)
-            is_smooth = values is not outcome.observed
-            like = outcome.fitted[group, link]
-            phase.plot(frequencies_hz, _phase(response, like, is_smooth), **style)
+            magnitude.semilogy(frequencies_hz, np.abs(values[group, link]), label=label, **style)
         _residuals(below, frequencies_hz, left[:, link])
     for axis in axes.flat:
         axis.margins(x=0)
         axis.grid(True, which="both", alpha=0.3)
-    for axis, label in zip(
-        axes[:, 0], ("magnitude", "phase [degrees]", "residual\nover the noise"), strict=True
-    ):
-        axis.set_ylabel(label)
+    axes[0][0].set_ylabel("magnitude")
+    axes[1][0].set_ylabel("residual\nover the noise")
     figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     figure.align_ylabels(axes)
     return figure
-
-
-def _phase(response: ComplexArray, like: ComplexArray, is_smooth: bool) -> FloatArray:
-    """Return a phase [degrees], by whole turns next to that of the smooth response `like`."""
-    base = np.unwrap(np.angle(like))
-    if not is_smooth:
-        return np.asarray(np.degrees(base + np.angle(response / like)))
-    phase = np.unwrap(np.angle(response))
-    return np.asarray(np.degrees(phase) - 360 * np.round(np.median(phase - base) / (2 * np.pi)))
 
 
 def _residuals(axis: Axes, frequencies_hz: FloatArray, left: FloatArray) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
+from datetime import date
 from textwrap import wrap
 from typing import Any
 
@@ -26,19 +27,15 @@ WORDS = {
 MOST_TRAINS = 30
 LEAST_ROWS = 3  # of a calendar, also if fewer trains are shown
 LONGEST_LINE = 28  # letters of a train's name in each of its two lines
-BARS = 5  # parts of one train whose intervals are drawn, those that pass first
-BAND = 0.7  # share of a train's row that intervals take
-DUE = "passing"  # label of the bars, which the legend replaces by a text with the level
 
 
 def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
     """Return the calendar: trains as rows, unknown and urgent ones on top, and their visits.
 
-    A mark is a visit with the number of its jobs, on its latest day.
-    A thin bar is the interval in which one part passes its limit without a visit. A question mark
-    is a train with a part of unknown remaining life; a visit for one has its colour. Trains without
-    a visit and without a waiting part are left out, as are those after the first ``MOST_TRAINS``;
-    the title counts them. `figure` is an empty one to draw on, by default a new one.
+    A mark is a visit with the number of its jobs, on its latest day. A question mark is a train
+    with a part of unknown remaining life; a visit for one has its colour. Trains without a visit
+    and without a waiting part are left out, as are those after the first ``MOST_TRAINS``; the title
+    counts them. `figure` is an empty one to draw on, by default a new one.
     """
     visits: dict[str, list[Visit]] = defaultdict(list)
     jobs: dict[str, list[Job]] = defaultdict(list)
@@ -55,15 +52,20 @@ def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
     )
     axis: Axes = figure.subplots()
     for row, name in enumerate(shown):
-        _draw_intervals(axis, plan, row, jobs[name])
         if any(job.part.unknown for job in jobs[name]):
-            _draw_mark(axis, float(mdates.date2num(plan.today)), row, UNKNOWN, "?")
+            _draw_mark(axis, plan.today, row, UNKNOWN, "?")
         for visit in visits[name]:
-            _draw_visit(axis, row, visit)
+            urgency = visit.urgency_of(visit.jobs[0])
+            _draw_mark(axis, visit.day, row, urgency, f"{len(visit.jobs)}")
     if not shown:
         axis.text(0.5, 0.5, "nothing to be done", ha="center", transform=axis.transAxes)
     _label(axis, plan, shown, len(names))
-    _calendar_legend(figure, axis, plan.level)
+    # every kind of mark once, the most urgent first
+    handles, labels = axis.get_legend_handles_labels()
+    marks = dict(zip(labels, handles, strict=True))
+    if words := [word for word in WORDS.values() if word in marks]:
+        place: dict[str, Any] = {"loc": "outside lower center", "ncols": 2, "fontsize": "small"}
+        figure.legend([marks[word] for word in words], words, **place)
     return figure
 
 
@@ -114,33 +116,8 @@ def _urgency(visits: Sequence[Visit], jobs: Sequence[Job], name: str) -> tuple[A
     return (len(probabilities) == len(jobs), *first, -max(probabilities, default=0.0), name)
 
 
-def _draw_visit(axis: Axes, row: int, visit: Visit) -> None:
-    urgency = visit.urgency_of(visit.jobs[0])
-    _draw_mark(axis, float(mdates.date2num(visit.day)), row, urgency, f"{len(visit.jobs)}")
-
-
-def _draw_mark(axis: Axes, day: float, row: int, urgency: str, text: str) -> None:
+def _draw_mark(axis: Axes, day: date, row: int, urgency: str, text: str) -> None:
     style: dict[str, Any] = {"ms": 11, "mec": "white", "clip_on": False, "zorder": 3}
-    axis.plot(day, row, "o", color=COLOURS[urgency], label=WORDS[urgency], **style)
+    axis.plot(day, row, "o", color=COLOURS[urgency], label=WORDS[urgency], **style)  # type: ignore[arg-type]
     place: dict[str, Any] = {"ha": "center", "va": "center", "color": "white", "zorder": 4}
-    axis.text(day, row, text, fontsize=6.5, clip_on=False, **place)
-
-
-def _draw_intervals(axis: Axes, plan: Plan, row: int, jobs: Sequence[Job]) -> None:
-    begin, end = (float(mdates.date2num(day)) for day in (plan.today, plan.horizon))
-    ends = sorted(job.passing_days for job in jobs if begin + job.passing_days[0] < end)[:BARS]
-    for i, (low, high) in enumerate(ends):
-        height = row + BAND * ((i + 0.5) / len(ends) - 0.5)
-        style: dict[str, Any] = {"color": "0.45", "lw": 1.2, "alpha": 0.7, "zorder": 1}
-        axis.plot([begin + low, min(begin + high, end)], [height, height], label=DUE, **style)
-
-
-def _calendar_legend(figure: Figure, axis: Axes, level: float) -> None:
-    """Label every kind of mark once, the most urgent first."""
-    handles, labels = axis.get_legend_handles_labels()
-    marks = dict(zip(labels, handles, strict=True))
-    order = [word for word in (*WORDS.values(), DUE) if word in marks]
-    words = [Finding("passing-interval", level=100 * level) if w == DUE else w for w in order]
-    if order:
-        place: dict[str, Any] = {"loc": "outside lower center", "ncols": 2, "fontsize": "small"}
-        figure.legend([marks[word] for word in order], words, **place)
+    axis.text(day, row, text, fontsize=6.5, clip_on=False, **place)  # type: ignore[arg-type]

@@ -42,7 +42,7 @@ from suspnet.trains.pages.overview import (
 )
 from suspnet.trains.pages.report import Report, write_report
 from suspnet.trains.pages.tables import split_outputs
-from suspnet.trains.pages.templates import render
+from suspnet.trains.pages.templates import write_page
 from suspnet.trains.pages.trend import health_trend, small_trends, trend_of_trips
 
 KNOWN_ERROR_PERCENT = "rms error %"
@@ -294,8 +294,8 @@ def _write_fleet_page(rows: Sequence[Mapping[str, Any]], output: Path, **values:
     values = {"plan": None, "sisters": [], "address": None} | values
     parameters = [name for name in PARAMETERS if name != BODY_MASS]
     sentences = {"finding": finding(rows), "most_severe": most_severe(rows)}
-    page = render("fleet.html", rows=rows, parameters=parameters, **sentences, **values)
-    write_atomically(output / "overview.html", page.encode("utf-8", errors="replace"))
+    values |= {"rows": rows, "parameters": parameters}
+    write_page(output / "overview.html", "fleet.html", **sentences, **values)
 
 
 def _life_row(life: Life | None) -> dict[str, Any] | None:

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, field
 from datetime import UTC, datetime
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from tabulate import tabulate
 
 from suspnet.ground.findings import Finding, together
-from suspnet.ground.parameters import Limits, Severity, part_words
+from suspnet.ground.parameters import Severity, part_words
 from suspnet.ground.records import OK, PLACE_FROM_TRAIN, Key, Place, TripResult
 from suspnet.ground.storage import content_hash
 from suspnet.trains.history.schema import BadRow
@@ -85,21 +84,10 @@ class FleetView:
     cars: list[list[int]] = field(default_factory=list)
     names: tuple[str, ...] = ()
     keys: dict[str, int] = field(default_factory=dict)
-    limits: Mapping[str, Mapping[str, Limits]] = field(default_factory=dict)
     acknowledged: Mapping[Key, Sequence[Acknowledgement]] = field(default_factory=dict)
     is_complete: bool = False
     trouble: str = ""
     bad_rows: tuple[BadRow, ...] = ()
-
-    @cached_property
-    def jobs(self) -> dict[tuple[str, str, str], dict[str, dict[str, Any]]]:
-        """Rows of the plan's visits, by ``place_of`` of the suspension and by parameter."""
-        jobs: dict[tuple[str, str, str], dict[str, dict[str, Any]]] = {}
-        for row in self.plan.rows() if self.plan else []:
-            if row["day"]:
-                place = row["train"], row["car"], row["suspension"]
-                jobs.setdefault(place, {})[row["parameter"]] = row
-        return jobs
 
     @property
     def entries(self) -> list[tuple[str, str, State]]:
@@ -112,7 +100,6 @@ class FleetView:
 
 def fleet_view(
     states: Sequence[State],
-    limits: Mapping[str, Mapping[str, Limits]],
     acknowledged: Mapping[Key, Sequence[Acknowledgement]],
     plan: Plan | None,
     *,
@@ -132,7 +119,6 @@ def fleet_view(
         cars=[[places[id(series)] for series in car] for car in cars],
         names=names,
         keys={name: i for i, name in enumerate(names)},
-        limits=limits,
         acknowledged=acknowledged,
         is_complete=is_complete,
         bad_rows=tuple(bad_rows),

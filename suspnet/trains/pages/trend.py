@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike
 
 from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, Severity
@@ -40,10 +39,10 @@ class Panel:
     """One parameter along the mileage; values are in % of healthy.
 
     `km`, `values` and `flagged` are (n_trips,), `intervals` (n_trips, 2), of the trips with an
-    estimate; intervals of flagged trips are NaN. `missing_km` are trips without an estimate. The
-    truth is that of simulated trips. `limits` are pairs of kind ("notice" or "act") and value.
-    `passing_km` is the 80 % interval in which the act limit will be passed; None if it never is,
-    or is passed already. `axis` is the range of the figure.
+    estimate; intervals of flagged trips are NaN. `missing_km` are trips without an estimate.
+    `limits` are pairs of kind ("notice" or "act") and value. `passing_km` is the 80 % interval in
+    which the act limit will be passed; None if it never is, or is passed already. `axis` is the
+    range of the figure.
     """
 
     name: str
@@ -52,8 +51,6 @@ class Panel:
     intervals: FloatArray
     flagged: BoolArray
     missing_km: FloatArray
-    truth_km: FloatArray
-    truth: FloatArray
     limits: tuple[tuple[str, float], ...]
     alarms: tuple[Alarm, ...]
     passing_km: tuple[float, float] | None
@@ -99,9 +96,7 @@ def trend_of_trips(
     for name in outputs:
         values = _column([r.estimates.get(name, np.nan) for r in placed])
         intervals = _column([r.interval(name) for r in placed]).reshape(-1, 2)
-        truth = _column([r.truth.get(name, np.nan) for r in placed])
-        columns = km, values, intervals, flagged, truth
-        panels.append(_panel(name, state, *columns, healthy=now.get(name, 1.0)))
+        panels.append(_panel(name, state, km, values, intervals, flagged, now.get(name, 1.0)))
     return MileageTrend(
         tuple(panels),
         km,
@@ -117,14 +112,13 @@ def trend_of_state(state: State) -> MileageTrend:
     """Return the trend of a page, each trip relative to its own healthy values."""
     series = state.series
     placed = np.isfinite(series.mileage_km)
-    km, unknown = series.mileage_km[placed], np.full(int(placed.sum()), np.nan)
+    km, flagged = series.mileage_km[placed], series.flagged[placed]
     panels = []
     for name in (name for name in series.outputs if name != BODY_MASS):
         values, half = series.estimates[name][placed], series.half_widths[name][placed]
         with np.errstate(over="ignore"):
             intervals = np.stack([values * np.exp(-half), values * np.exp(half)], axis=1)
-        columns = km, values, intervals, series.flagged[placed], unknown
-        panels.append(_panel(name, state, *columns))
+        panels.append(_panel(name, state, km, values, intervals, flagged))
     since_km = series.healthy_since_km
     again_km = tuple(np.unique(since_km[np.isfinite(since_km)])[1:].tolist())
     maintenance_km = tuple(event.mileage_km for event in series.events)
@@ -153,11 +147,10 @@ def _panel(
     values: FloatArray,
     intervals: FloatArray,
     flagged: BoolArray,
-    truth: FloatArray,
     healthy: float = 1.0,
 ) -> Panel:
     """Return a parameter of ratios; `healthy` is the level that its limits are relative to."""
-    is_estimated, has_truth = np.isfinite(values), np.isfinite(truth)
+    is_estimated = np.isfinite(values)
     shown, ends = 100 * values[is_estimated], 100 * intervals[is_estimated]
     flagged_shown = flagged[is_estimated]
     ends[flagged_shown | ~np.isfinite(ends).all(axis=1)] = np.nan
@@ -167,7 +160,6 @@ def _panel(
     if limits and (passing_km or any(a.severity == Severity.ACT for a in state.alarms_of(name))):
         limit = limits.act[0] if state.now(name) < 1 else limits.act[1]
         act = 100 * healthy * limit if 0 < limit < np.inf else np.nan
-    truth_shown = 100 * truth[is_estimated]
     return Panel(
         name,
         km[is_estimated],
@@ -175,8 +167,6 @@ def _panel(
         ends,
         flagged_shown,
         km[~is_estimated],
-        km[has_truth],
-        100 * truth[has_truth],
         tuple(
             (kind, 100 * healthy * value)
             for kind in LIMIT_COLOURS
@@ -185,7 +175,7 @@ def _panel(
         ),
         tuple(alarm for alarm in state.watched.alarms if alarm.parameter == name),
         passing_km,
-        _axis(shown, ends, flagged_shown, [*truth_shown, act]),
+        _axis(shown, ends, flagged_shown, act),
         state.severities.get(name, Severity.NONE),
     )
 
@@ -198,20 +188,19 @@ def _passing(life: Life | None, last_km: float) -> tuple[float, float] | None:
 
 
 def _axis(
-    values: FloatArray, intervals: FloatArray, flagged: BoolArray, required: ArrayLike
+    values: FloatArray, intervals: FloatArray, flagged: BoolArray, act: float
 ) -> tuple[float, float]:
     """Return the range of an axis: all required values, and trips and intervals near these.
 
-    One odd trip must not squeeze all others. The axis includes 100 %, the finite ones of
-    `required`, unflagged trips (all if all are flagged) and the running median between its ends,
-    which follows a lasting change even if flagged, but no level above that of any real suspension.
-    Other trips widen it by up to its span on each side, intervals by up to half of that.
+    One odd trip must not squeeze all others. The axis includes 100 %, the limit `act` unless it is
+    NaN, unflagged trips (all if all are flagged) and the running median between its ends, which
+    follows a lasting change even if flagged, but no level above that of any real suspension. Other
+    trips widen it by up to its span on each side, intervals by up to half of that.
     """
     clear = np.ones(len(values), dtype=bool) if flagged.all() else ~flagged
     kept = np.append(values[clear], running_median(values)[1:-1])
-    others = np.asarray(required, dtype=float)
-    base = np.concatenate([[100.0], np.minimum(kept, 100 * ABSURD), others[np.isfinite(others)]])
-    low, high = base.min(), base.max()
+    base = np.concatenate([[100.0, act], np.minimum(kept, 100 * ABSURD)])
+    low, high = np.nanmin(base), np.nanmax(base)
     span = max(high - low, LEAST_SPAN_PERCENT)
     near = values[(values >= low - span) & (values <= high + span)]
     ends = intervals[np.isfinite(intervals)].clip(low - span / 2, high + span / 2)
@@ -242,11 +231,11 @@ def health_trend(trend: MileageTrend, is_small: bool = False) -> Figure:
     """Draw each parameter in % of healthy along the mileage (Fig. 10).
 
     Dots are trips with their interval, the line is the running median of all; a flagged trip is
-    hollow. A red tick at the bottom is a trip without an estimate, a thin black line the truth of
-    simulated trips, a triangle at the top the start of an alarm. Dashed lines are limits within the
-    axis. A bar at the bottom is the range in which the act limit will be passed, as far as it lies
-    in the figure, which grows by half of its mileage at most. Trips without a mileage are left out,
-    and counted in the title. A small figure has no legend.
+    hollow. A red tick at the bottom is a trip without an estimate, a triangle at the top the start
+    of an alarm. Dashed lines are limits within the axis. A bar at the bottom is the range in which
+    the act limit will be passed, as far as it lies in the figure, which grows by half of its
+    mileage at most. Trips without a mileage are left out, and counted in the title. A small figure
+    has no legend.
     """
     n = len(trend.panels)
     size = SMALL_INCHES if is_small else (7.0, 1.0 + 1.7 * n)
@@ -301,12 +290,8 @@ def _draw_trips(axis: Axes, panel: Panel, level: float) -> None:
 
 
 def _draw_levels(axis: Axes, panel: Panel) -> None:
-    """Set the range of the axis, and draw truth, healthy level and the limits within it."""
+    """Set the range of the axis, and draw the healthy level and the limits within it."""
     low, high = panel.axis
-    if len(panel.truth):
-        style: dict[str, Any] = {"lw": 0.8} if len(panel.truth) > 1 else {"marker": "x", "ls": ""}
-        label = "truth (simulated)"
-        axis.plot(panel.truth_km / 1000, panel.truth, color="black", label=label, **style)
     axis.set_ylim(low, high)
     axis.ticklabel_format(axis="y", useOffset=False)
     axis.axhline(100, color="0.6", lw=0.8, ls=":", zorder=0)
