@@ -111,8 +111,6 @@ def test_a_first_view_is_what_the_functions_give(store, board):
     assert view.plan.rows() == plan.rows() != []
     assert view.plan.n_quiet == plan.n_quiet
     assert [row["where"] for row in view.rows] == [str(one.series.place) for one in states]
-    (car,) = view.cars
-    assert {view.states[i].series.place for i in car} == {LEFT, RIGHT}
     assert {view.states[i].key for i in view.keys.values()} == {("am96", one) for one in FLEET}
 
 
@@ -186,7 +184,7 @@ def test_a_long_refresh_shows_what_it_has(store, monkeypatch):
         module, "fleet_view", lambda *args, **kw: seen.append(view_of(*args, **kw)) or seen[-1]
     )
     board.refresh()
-    assert [view.is_complete for view in seen] == [False, False, True]
+    assert [view.is_complete for view in seen] == [False, True]
     assert [view.version for view in seen] == list(range(1, len(seen) + 1))
     assert all(len(view.states) == len(FLEET) for view in seen)
     first = seen[0].states[seen[0].keys[address(("am96", LEFT))]]
@@ -330,7 +328,6 @@ def test_suspensions_that_are_gone_are_not_shown(store, board, tmp_path):
     write(store, *(r for where in (LEFT, OTHER) for r in FLEET[where][:N_WRITTEN]))
     board.refresh()
     assert {state.key[1] for state in board.view.states} == {LEFT, OTHER}
-    assert not board.view.cars
 
 
 def test_inconsistent_limits_and_days_are_named(store):

@@ -244,7 +244,7 @@ def test_corrupted_store_gives_no_error_of_the_program(path, good, kind):
         else:
             altered(path, 0)
         look()
-        addresses = ["/", "/?rows=all", "/plan", "/plan/calendar.svg", "/state"]
+        addresses = ["/", "/plan", "/plan/calendar.svg", "/state"]
         for name in board.view.keys:
             addresses += [f"/suspension/{name}{end}" for end in ("", "/trend.svg")]
             addresses += [f"/suspension/{name}/responses.svg", f"/state?of={name}"]

@@ -38,6 +38,7 @@ ERRORS = (400, 401, 403, 503)  # of every request
 api = Blueprint("api", __name__, url_prefix=ROOT)
 api.before_request(identify_program)
 Row = dict[str, Any]
+Rows = Callable[..., Iterable[Row]]
 Query = TypeVar("Query", bound=BaseModel)
 
 
@@ -55,22 +56,20 @@ class Route:
 ROUTES: list[Route] = []  # in the order of the description
 
 
-def _answers(
-    rule: str, query: type[Query], item: Any, *, is_list: bool = True
-) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Register a function that gives rows, or one row, as what the API answers to `rule`.
+def _answers(rule: str, query: type[Query], item: Any) -> Callable[[Rows], Rows]:
+    """Register a function that gives rows as what the API answers to `rule`.
 
     The function is given the view of the fleet, the query, and the index of the suspension whose
     name is part of the rule.
     """
-    answer = models.Listed[item] if is_list else item
+    answer = models.Listed[item]
 
-    def register(function: Callable[..., Any]) -> Callable[..., Any]:
+    def register(function: Rows) -> Rows:
         @functools.wraps(function)
         def answered(**place: str) -> Response:
             content, view = _query(query), _read_view()
             found = function(view, content, *(_index(view, id) for id in place.values()))
-            return _sent(answer.model_validate(_listed(content, found) if is_list else found))
+            return _sent(answer.model_validate(_listed(content, found)))
 
         api.add_url_rule(rule, function.__name__, answered)
         summary = (function.__doc__ or "").strip()
@@ -89,12 +88,6 @@ def suspensions(view: FleetView, query: models.OfFleet) -> Iterable[Row]:
         if query.train in (None, state.series.place.train)
         and query.severity in (None, str(state.severity))
     )
-
-
-@_answers("/suspensions/<id>", models.Model, models.SuspensionAnswer, is_list=False)
-def suspension(view: FleetView, query: models.Model, index: int) -> Row:
-    """Give one suspension."""
-    return _suspension(view, index)
 
 
 @_answers("/suspensions/<id>/parts", models.Paged, models.PartAnswer)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import (
@@ -24,14 +23,6 @@ ID = r"^[0-9a-f]{12}$"
 """Pattern of the name of a suspension in addresses."""
 
 
-def _check_whole(value: Any) -> Any:
-    """Check the text of a number in a query, as Python takes more than JSON does."""
-    if isinstance(value, str) and not re.fullmatch(r"-?\d{1,10}", value, re.A):
-        raise ValueError("must be a whole number")
-    return value
-
-
-_WHOLE = BeforeValidator(_check_whole)
 Number = Annotated[float | None, BeforeValidator(finite_or_none)]
 """A number of an answer, null where it is unknown or infinite."""
 Day = Annotated[str | None, BeforeValidator(lambda text: text or None)]
@@ -53,9 +44,9 @@ class Answer(BaseModel):
 class Paged(Model):
     """Which part of a long list is asked for."""
 
-    limit: Annotated[int, Field(ge=1, le=MOST_ITEMS), _WHOLE] = USUAL_ITEMS
+    limit: Annotated[int, Field(ge=1, le=MOST_ITEMS)] = USUAL_ITEMS
     """Largest number of items."""
-    offset: Annotated[int, Field(ge=0, le=HIGHEST_OFFSET), _WHOLE] = 0
+    offset: Annotated[int, Field(ge=0, le=HIGHEST_OFFSET)] = 0
     """Number of items that are left out at the start."""
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import hashlib
 import ipaddress
 import logging
 import secrets
@@ -31,7 +30,7 @@ from suspnet.depot.web.service import SERVICE
 from suspnet.runs.language import N_, best_of, check_language, choose, gettext, spoken
 from suspnet.trains.history import HistoryError
 from suspnet.trains.pages.board import Refresher, clock
-from suspnet.trains.pages.templates import OPTIONS, equip, packaged
+from suspnet.trains.pages.templates import OPTIONS, PACKAGE, equip, packaged
 
 MESSAGES = {
     400: N_("The form or the address could not be understood."),
@@ -41,9 +40,9 @@ MESSAGES = {
 }
 
 FILES = {
-    "style.css": ("text/css", ("suspnet.trains.pages:style.css", "suspnet.depot.web:page.css")),
-    "live.js": ("text/javascript", ("suspnet.depot.web:live.js",)),
-    "icon.svg": ("image/svg+xml", ("suspnet.depot.web:icon.svg",)),
+    "style.css": ("text/css", ((PACKAGE, "style.css"), ("suspnet.depot.web", "page.css"))),
+    "live.js": ("text/javascript", (("suspnet.depot.web", "live.js"),)),
+    "icon.svg": ("image/svg+xml", (("suspnet.depot.web", "icon.svg"),)),
 }
 """MIME type and sources of each file."""
 assets = Blueprint("assets", __name__, url_prefix="/files")
@@ -69,7 +68,6 @@ def create_app(
     equip(app.jinja_env)
     app.jinja_env.filters["clock"] = clock
     app.jinja_env.globals |= {
-        "file_digest": file_digest,
         "is_admitted": is_admitted,
         "ask_every_s": ask_every_s,
         "product": f"suspnet {__version__}",
@@ -81,7 +79,7 @@ def create_app(
     app.extensions[ACCESS] = access or Access()
     app.register_blueprint(pages)
     app.register_blueprint(api)
-    protected.exempt(api)  # its writers show a token, which no browser sends by itself
+    protected.exempt(api)  # it writes nothing, and refuses in JSON
     app.register_blueprint(assets)
     app.register_blueprint(health)
     app.register_error_handler(CSRFError, _form_error)
@@ -129,27 +127,18 @@ def _is_api() -> bool:
     return request.path.startswith(f"{ROOT}/")
 
 
-@assets.get("/<digest>/<name>")
-def file(digest: str, name: str) -> Response:
-    """Return a file."""
-    if name not in FILES or digest != file_digest(name):
+@assets.get("/<name>")
+def file(name: str) -> Response:
+    """Return a file, which a browser keeps as long as its content stays the same."""
+    if name not in FILES:
         abort(404)
-    response = Response(_content(name), mimetype=FILES[name][0])
-    response.headers["Cache-Control"] = "public, max-age=31536000, immutable"
+    kind, sources = FILES[name]
+    files = (resources.files(package).joinpath(path) for package, path in sources)
+    response = Response(b"\n".join(file.read_bytes() for file in files), mimetype=kind)
+    response.headers["Cache-Control"] = "no-cache"
+    response.add_etag()
+    response.make_conditional(request)
     return response
-
-
-def file_digest(name: str) -> str:
-    """Return the part of a file's address that changes with its content."""
-    return hashlib.sha256(_content(name)).hexdigest()[:12]
-
-
-@functools.cache
-def _content(name: str) -> bytes:
-    sources = (source.split(":") for source in FILES[name][1])
-    return b"\n".join(
-        resources.files(package).joinpath(path).read_bytes() for package, path in sources
-    )
 
 
 MAX_FORM_BYTES = 16_384

@@ -6,8 +6,7 @@ import functools
 import hashlib
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from flask import (
@@ -55,7 +54,7 @@ from suspnet.trains.pages.templates import MARKS
 from suspnet.trains.pages.trend import health_trend, small_trends, trend_of_state
 from suspnet.trains.pages.trip_figures import response_figure
 
-MAX_ROWS = 50  # largest number of rows of a table of the fleet, unless all are requested
+MAX_ROWS = 50  # largest number of rows of a table of the fleet; fewer are chosen by train and state
 MAX_JOBS = 10  # largest number of jobs on the page of the fleet; the page of the plan has all
 N_TRIPS = 20  # number of the newest trips in the table of a suspension
 OUTPUTS = tuple(name for name in PARAMETERS if name != BODY_MASS)
@@ -66,8 +65,7 @@ pages.before_request(identify_visitor)
 _drawing = threading.Lock()
 
 
-@dataclass(frozen=True)
-class Choice:
+class Choice(NamedTuple):
     """Which suspensions are shown; an empty `train` or `severity` chooses all."""
 
     train: str = ""
@@ -78,11 +76,6 @@ class Choice:
         is_of_train = self.train in ("", state.series.place.train)
         return is_of_train and self.severity in ("", str(state.severity))
 
-    @property
-    def arguments(self) -> dict[str, str]:
-        """The choice as arguments of a URL."""
-        return {name: value for name, value in vars(self).items() if value}
-
 
 @pages.get("/")
 def fleet() -> ResponseReturnValue:
@@ -90,7 +83,6 @@ def fleet() -> ResponseReturnValue:
     view, choice = _view(), _choice()
     chosen = [i for i, state in enumerate(view.states) if choice.holds(state)]
     alarms, jobs = _active_alarms(view, chosen), _jobs(view, choice)
-    most = None if request.args.get("rows") == "all" else MAX_ROWS
     of_train = Choice(choice.train)
     severities = [state.severity for state in view.states if of_train.holds(state)]
     entries = view.entries
@@ -102,9 +94,9 @@ def fleet() -> ResponseReturnValue:
         train_names=_train_names(view),
         counts={str(level): severities.count(level) for level in sorted(Severity, reverse=True)},
         trains=_tiles_of_trains(view, chosen),
-        alarms=alarms[:most],
+        alarms=alarms[:MAX_ROWS],
         n_alarms=len(alarms),
-        rows=_linked_rows(view, chosen[:most]),
+        rows=_linked_rows(view, chosen[:MAX_ROWS]),
         n_rows=len(chosen),
         parameters=OUTPUTS,
         plan=view.plan,
@@ -239,7 +231,6 @@ def _suspension_page(name: str, form: AcknowledgementForm) -> str:
     except HistoryError as error:
         trouble = str(error)
     bad_rows = [*(row for row in view.bad_rows if row.key == state.key), *bad_rows]
-    car = next((indices for indices in view.cars if index in indices), [])
     cleared = [alarm for alarm in reversed(state.watched.alarms) if not alarm.is_open]
     newest = list(reversed(results[-N_TRIPS:]))
     mileages = state.series.mileage_km[np.isfinite(state.series.mileage_km)]
@@ -256,8 +247,6 @@ def _suspension_page(name: str, form: AcknowledgementForm) -> str:
         visitor=visitor(),
         trouble=trouble,
         bad_rows=list(dict.fromkeys(bad_rows)),
-        kinds=OUTPUTS,
-        sisters=[_linked_rows(view, car)] if car else [],
         state=state,
         parameters=[name for name in state.outputs if name != BODY_MASS],
         row=view.rows[index],

@@ -26,7 +26,7 @@ from suspnet.trains.pages.overview import FleetView, fleet_view
 log = logging.getLogger(__name__)
 LOOK_S = 1.0  # timeout for a lock of the store by other programs
 READ_AT_ONCE = 100  # suspensions that are read in one transaction
-AT_ONCE = 50  # suspensions above which a refresh shows what it has before it is complete
+AT_ONCE = 50  # new suspensions above which a refresh shows them before it is complete
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Board:
     Only suspensions whose revision in the store changed are read and recomputed, and compared with
     their sisters. The rates of wear of a fleet, and with them the lives of all its suspensions, are
     learnt again as ``FleetStates`` says. A long refresh first shows new suspensions with the alarms
-    in the store, then all alarms, and last the lives and the plan.
+    in the store.
 
     Sister alarms are written to the store, as no other program finds them while trips are
     monitored; alarms of limits and changes are stored by the evaluation of the trips. They are
@@ -136,8 +136,6 @@ class Board:
             self._read(history, revisions, changed)
         self._file, self._is_doubted = file, False
         if self._is_due:
-            if len(changed) > AT_ONCE:
-                self._show(history, is_complete=False)
             # lives of the whole fleet, as its rates of wear may have changed
             self._fleet.predict()
             self._plan = plan_of(self._fleet.states(), self.settings.plan, day)
@@ -228,7 +226,6 @@ class Refresher:
         self.board = board
         self.every_s = every_s
         self._error = ""
-        self._started_at: datetime | None = None
         self._looked: datetime | None = None
         self._read: datetime | None = None
         self._wake, self._end = threading.Event(), threading.Event()
@@ -268,8 +265,6 @@ class Refresher:
     @property
     def words(self) -> str:
         """When the store was last read, as text."""
-        if self._started_at:
-            return Finding("reading", time=clock(self._started_at))
         if self._looked:
             return Finding("last-read", clock=clock(self._looked))
         return Finding("not-read-yet")
@@ -287,7 +282,7 @@ class Refresher:
 
     def look(self) -> None:
         """Refresh the board now; an error is logged, and stated by `fault` while there is one."""
-        started = self._started_at = datetime.now(UTC)
+        started = datetime.now(UTC)
         try:
             self.board.refresh()
             self._error = ""
@@ -298,8 +293,6 @@ class Refresher:
             if not self._error:
                 log.exception("the state of the fleet could not be computed")
             self._error = f"{type(error).__name__}: {error}"
-        finally:
-            self._started_at = None
 
 
 def clock(time: datetime) -> str:

@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 
 from suspnet.ground.findings import Finding, parts_of, together
-from suspnet.ground.parameters import BOGIE_PARTS, SIDES, Severity, part_words
+from suspnet.ground.parameters import BOGIE_PARTS, Severity, part_words
 from suspnet.ground.records import TripResult
 from suspnet.trains.maintenance.judge import ABSURD
 from suspnet.trains.maintenance.plan import place_of
 from suspnet.trains.maintenance.schedule import Plan
 from suspnet.trains.maintenance.state import State
-from suspnet.trains.pages.tables import interval_digits
 from suspnet.trains.pages.templates import level, shown_number
 
 EQUAL_SIDES = (
@@ -25,7 +24,6 @@ EQUAL_SIDES = (
 )
 """Why estimates without parts name none."""
 NONE_NAMED = Finding("no-part-at-all", reason=EQUAL_SIDES)
-MAX_DIGITS = 1  # decimals in the drawing, whose labels are narrow
 LEAST_HALF = 0.1  # smallest half width of an interval that is shown [% of healthy]
 WIDE_HALF = 10.0  # half width of an interval from which no decimals are shown [% of healthy]
 MAX_BOGIES = 6  # drawn on one page of a fleet
@@ -132,7 +130,7 @@ def _level(state: State, name: str) -> tuple[str, str]:
     half = float(np.median(halves)) if len(halves) else math.nan
     if not math.isfinite(half) or now > ABSURD:
         return level(now, 1), ""
-    digits = 0 if half >= WIDE_HALF else min(interval_digits([half]), MAX_DIGITS)
+    digits = 0 if half >= WIDE_HALF else 1
     return level(now, digits), shown_number(max(half, LEAST_HALF), digits)
 
 
@@ -159,17 +157,9 @@ def worn_entries(worn: str) -> list[tuple[tuple[str, ...], str]]:
 
 
 def group_words(names: Sequence[str], odds: str) -> str:
-    """Return a sentence on parts of which one has worn, with what they have in common."""
-    common = _common([part.partition("_")[2].split("_")[1:] for part in names])
+    """Return a sentence on parts of which one has worn."""
     parts = together(map(part_words, names), " or ")
-    return Finding("one-of-several-worn", common=common, odds=odds, parts=parts)
-
-
-def _common(places: Sequence[Sequence[str]]) -> str:
-    """Return " on the left", " at axle 1" or both, if parts share that; empty if nothing."""
-    shared = set(places[0]).intersection(*places[1:])
-    axles = (Finding("at-axle", axle=place[-1]) for place in sorted(shared) if "axle" in place)
-    return together((*axles, *(f" on the {side}" for side in SIDES if side in shared)), "")
+    return Finding("one-of-several-worn", odds=odds, parts=parts)
 
 
 def visits_of(plan: Plan | None, state: State) -> dict[str, str]:

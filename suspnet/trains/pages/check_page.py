@@ -118,17 +118,13 @@ class TripCheck:
         """Amount and quality of usable data, on one line."""
         speeds = together(
             (
-                Finding("averages-at", n_averages=part.n_averages, speed_m_per_s=part.speed_m_per_s)
-                for part in self.parts
+                Finding("averages-at", n_averages=p.n_averages, speed_m_per_s=p.speed_m_per_s)
+                for p in self.parts
             ),
             ", ",
         )
-        return Finding(
-            "usable",
-            usable_percent=self.usable_percent,
-            speeds=speeds or "no steady part",
-            sensors=self.sensors,
-        )
+        values = {"usable_percent": self.usable_percent, "sensors": self.sensors}
+        return Finding("usable", speeds=speeds or "no steady part", **values)
 
     def row(self) -> dict[str, Any]:
         """Return the check as JSON-able values."""
@@ -168,45 +164,38 @@ def with_shared_data(checks: Sequence[TripCheck]) -> list[TripCheck]:
     return remarked
 
 
-@dataclass(frozen=True)
-class Suspension:
-    """The checked trips of one suspension; `title` is vehicle and place."""
-
-    title: str
-    checks: list[TripCheck]
-
-    def sentences(self) -> list[str]:
-        """Return how much data commissioning and reading would have."""
-        ready = [check for check in self.checks if check.state == READY]
-        trips = Finding("trips", n=len(self.checks))
-        words: list[str] = [Finding("some-ready", n_ready=len(ready), trips=trips)]
-        speeds = [part.speed_m_per_s for check in ready for part in check.parts]
-        if speeds:
-            setting = setting_words(covering(speeds, SPEED_HALF_WIDTH))
-            kilometres = [check.mileage_km for check in ready]
-            words[0] = Finding(
-                "read-by",
-                ready=words[0],
-                km=_ends(kilometres, 0),
-                speeds=_ends(speeds, 1),
-                read_by=ready[0].read_by or Finding("train-with", setting=setting),
-            )
-        if len(ready) < LEAST_TRIPS:
-            words.append(Finding("more-trips-needed", least_trips=LEAST_TRIPS))
-        kinds = sorted({check.sensors for check in ready})
-        if len(kinds) > 1:
-            words.append(Finding("sensors-differ", kinds=together(kinds, "; ")))
-        return words
-
-
-def suspensions(checks: Iterable[TripCheck]) -> list[Suspension]:
+def suspensions(checks: Iterable[TripCheck]) -> dict[str, list[TripCheck]]:
     """Return the trips whose manifests could be read, by vehicle and place."""
     by_title: dict[str, list[TripCheck]] = {}
     for check in checks:
         if check.vehicle:
             title = together((check.vehicle, str(check.place)), ", ")
             by_title.setdefault(title, []).append(check)
-    return [Suspension(title, by_title[title]) for title in sorted(by_title)]
+    return dict(sorted(by_title.items()))
+
+
+def suspension_sentences(checks: Sequence[TripCheck]) -> list[str]:
+    """Return how much data commissioning and reading of one suspension would have."""
+    ready = [check for check in checks if check.state == READY]
+    words: list[str] = [
+        Finding("some-ready", n_ready=len(ready), trips=Finding("trips", n=len(checks)))
+    ]
+    speeds = [part.speed_m_per_s for check in ready for part in check.parts]
+    if speeds:
+        setting = setting_words(covering(speeds, SPEED_HALF_WIDTH))
+        words[0] = Finding(
+            "read-by",
+            ready=words[0],
+            km=_ends([check.mileage_km for check in ready], 0),
+            speeds=_ends(speeds, 1),
+            read_by=ready[0].read_by or Finding("train-with", setting=setting),
+        )
+    if len(ready) < LEAST_TRIPS:
+        words.append(Finding("more-trips-needed", least_trips=LEAST_TRIPS))
+    kinds = sorted({check.sensors for check in ready})
+    if len(kinds) > 1:
+        words.append(Finding("sensors-differ", kinds=together(kinds, "; ")))
+    return words
 
 
 def train_words(checks: Iterable[TripCheck]) -> list[str]:
@@ -269,8 +258,8 @@ def summary(checks: Sequence[TripCheck], elsewhere: Sequence[str] = ()) -> str:
         lines.append(tabulate(rows, "keys", tablefmt="github", disable_numparse=True))
     if any(check.steady_percent < check.usable_percent for check in checks):
         lines.append(USABLE)
-    for suspension in suspensions(checks):
-        lines += ["", f"{suspension.title}: {'; '.join(suspension.sentences())}"]
+    for title, several in suspensions(checks).items():
+        lines += ["", f"{title}: {'; '.join(suspension_sentences(several))}"]
     lines += train_words(checks)
     problems = _by_words((check.name, check.problems) for check in checks)
     remarks = _by_words((check.name, check.remarks) for check in checks)
@@ -309,7 +298,9 @@ def write_checks(checks: Sequence[TripCheck], elsewhere: Sequence[str], output: 
     """Write check.json and the page check.html; return the path of the page."""
     shared: dict[str, Any] = {
         "verdict": verdict(checks, elsewhere),
-        "suspensions": {one.title: one.sentences() for one in suspensions(checks)},
+        "suspensions": {
+            title: suspension_sentences(several) for title, several in suspensions(checks).items()
+        },
     }
     content = {"suspnet_version": __version__, "problems": list(elsewhere)}
     write_json(output / "check.json", content | shared | {"trips": [c.row() for c in checks]})

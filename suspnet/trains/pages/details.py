@@ -7,7 +7,6 @@ from datetime import datetime
 from pathlib import Path
 
 from suspnet._version import __version__
-from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.findings import Finding, together
@@ -39,7 +38,6 @@ def report_details(
     define healthy (None: the models do).
     """
     first = models[0]
-    trained = trip_settings(first)
     healthy = together((healthy_words(era[0]) for era in eras(models)), "; then ")
     if n_reference is not None:
         reference = first_trips(results, n_reference)
@@ -50,6 +48,10 @@ def report_details(
         healthy = together((together((median, flagged), ", "), missing))
     misfits = together((misfit_words(era[0]) for era in eras(models)), "; then ")
     kind = type(first.generator).__name__
+    intervals: str = "none: the model was trained with data.n_calibrate=null"
+    if first.intervals is not None:
+        n_scores = len(first.intervals.conformal.scores)
+        intervals = Finding("calibrated", level=100 * level, n_scores=n_scores)
     return {
         N_("trips"): printable(str(folder)),
         N_("bogie"): together(dict.fromkeys(m.generator.bogie or "any" for m in models), ", "),
@@ -59,12 +61,9 @@ def report_details(
             "trained", name=first.name, n=first.training.get("n_train", 0), kind=kind
         ),
         N_("speeds"): together(dict.fromkeys(map(speed_words, models)), ", "),
-        N_("transfer functions"): Finding(
-            "windows", method=trained.method, window=trained.window, segment_s=trained.segment_s
-        ),
         N_("healthy is"): healthy,
         N_("misfit of the healthy trips"): misfits,
-        N_("intervals"): _interval_words(first, level),
+        N_("intervals"): intervals,
         N_("limits"): limits_words(limits),
     } | files_read_as(results)
 
@@ -103,13 +102,6 @@ def misfit_words(model: TrainedModel) -> str:
     of_parts = Finding("misfit-of-parts", misfit=model.bogie.misfit)
     of_equal = of_equal and Finding("times-equal", words=of_equal)
     return together((of_parts, of_equal), ", ")
-
-
-def _interval_words(model: TrainedModel, level: float) -> str:
-    """Return the source of the intervals, as text."""
-    if model.intervals is None:
-        return "none: the model was trained with data.n_calibrate=null"
-    return Finding("calibrated", level=100 * level, n_scores=len(model.intervals.conformal.scores))
 
 
 def wear_words(n_learnt: int, is_history: bool) -> str:

@@ -278,7 +278,6 @@ def write_fleet(view: FleetView, plan: Plan, figure: Figure, output: Path) -> No
         plan=plan,
         jobs=joined(jobs),
         calendar=data_uri(figure),
-        sisters=[[view.rows[i] for i in car] for car in view.cars],
         **bogies_shown(view.entries, plan),
     )
 
@@ -291,7 +290,7 @@ def _write_table_of(rows: Sequence[Mapping[str, Any]], output: Path) -> list[dic
 
 
 def _write_fleet_page(rows: Sequence[Mapping[str, Any]], output: Path, **values: Any) -> None:
-    values = {"plan": None, "sisters": [], "address": None} | values
+    values = {"plan": None, "address": None} | values
     parameters = [name for name in PARAMETERS if name != BODY_MASS]
     sentences = {"finding": finding(rows), "most_severe": most_severe(rows)}
     values |= {"rows": rows, "parameters": parameters}

@@ -17,7 +17,7 @@ from suspnet.ground.storage import content_hash
 from suspnet.trains.history.schema import BadRow
 from suspnet.trains.maintenance.alarms import Acknowledgement, newest_of
 from suspnet.trains.maintenance.schedule import Plan
-from suspnet.trains.maintenance.series import make_series, of_same_car
+from suspnet.trains.maintenance.series import make_series
 from suspnet.trains.maintenance.state import State
 from suspnet.trains.pages.failing_sensors import dead_words, sensor_words
 
@@ -70,10 +70,10 @@ class FleetView:
 
     `version` increases with each view of a board, from 0 before anything was read; `at` is in UTC.
     `states` are sorted by severity, then by life, and `rows` are their ``overview_rows``. `plan` is
-    None until remaining lives are computed. `cars` are the indices of the suspensions of each car
-    that has several, `names` the ``address`` of each suspension, and `keys` its index by this name.
-    `is_complete` is whether alarms, lives and plan cover all trips. `trouble` states why the store
-    could not be read the last time; `bad_rows` cannot be read and are left out.
+    None until remaining lives are computed. `names` are the ``address`` of each suspension, and
+    `keys` its index by this name. `is_complete` is whether alarms, lives and plan cover
+    all trips. `trouble` states why the store could not be read the last time; `bad_rows` cannot be
+    read and are left out.
     """
 
     version: int = 0
@@ -81,7 +81,6 @@ class FleetView:
     states: tuple[State, ...] = ()
     rows: list[dict[str, Any]] = field(default_factory=list)
     plan: Plan | None = None
-    cars: list[list[int]] = field(default_factory=list)
     names: tuple[str, ...] = ()
     keys: dict[str, int] = field(default_factory=dict)
     acknowledged: Mapping[Key, Sequence[Acknowledgement]] = field(default_factory=dict)
@@ -108,15 +107,12 @@ def fleet_view(
     bad_rows: Sequence[BadRow] = (),
 ) -> FleetView:
     """Return the view of a fleet; `states` come with the most severe first."""
-    places = {id(state.series): i for i, state in enumerate(states)}
-    cars = of_same_car([state.series for state in states])
     names = tuple(address(state.key) for state in states)
     return FleetView(
         version=version,
         states=tuple(states),
         rows=overview_rows(states, acknowledged),
         plan=plan,
-        cars=[[places[id(series)] for series in car] for car in cars],
         names=names,
         keys={name: i for i, name in enumerate(names)},
         acknowledged=acknowledged,

@@ -94,8 +94,8 @@ def trend_of_trips(
     now = commissionings[-1].relative if commissionings else {}
     panels = []
     for name in outputs:
-        values = _column([r.estimates.get(name, np.nan) for r in placed])
-        intervals = _column([r.interval(name) for r in placed]).reshape(-1, 2)
+        values = np.array([r.estimates.get(name, np.nan) for r in placed], dtype=float)
+        intervals = np.array([r.interval(name) for r in placed], dtype=float).reshape(-1, 2)
         panels.append(_panel(name, state, km, values, intervals, flagged, now.get(name, 1.0)))
     return MileageTrend(
         tuple(panels),
@@ -134,10 +134,6 @@ def running_median(values: FloatArray, window: int = 5) -> FloatArray:
     n = len(values)
     halves = [min(i, n - 1 - i, window // 2) for i in range(n)]
     return np.array([np.median(values[i - half : i + half + 1]) for i, half in enumerate(halves)])
-
-
-def _column(ratios: Sequence[object]) -> FloatArray:
-    return np.array(ratios, dtype=float)
 
 
 def _panel(

@@ -55,16 +55,17 @@ def draw_signals(axes: Sequence[Axes], seen: Overview) -> None:
     """
     minutes = seen.times_s.max() > 300
     time = seen.times_s / (60 if minutes else 1)
+    lone: dict[str, Any] = {"marker": "o"} if len(time) == 1 else {}
     for axis, low, high, mean in zip(axes, seen.low, seen.high, seen.mean, strict=False):
         axis.fill_between(
             time, low, high, step="mid", color="0.6", lw=0.8, label="least to largest value"
         )
-        axis.plot(time, mean, color="tab:red", lw=1, label="mean", **_lone_point(time))
+        axis.plot(time, mean, color="tab:red", lw=1, label="mean", **lone)
         if seen.faulty is not None and seen.faulty.any():
             style: dict[str, Any] = {"color": "tab:orange", "alpha": 0.4, "lw": 0.8}
             style |= {"step": "mid", "transform": axis.get_xaxis_transform()}
             axis.fill_between(time, 0, 1, where=seen.faulty, label="not usable", **style)
-    axes[3].plot(time, 3.6 * seen.speed_m_per_s, **_lone_point(time))
+    axes[3].plot(time, 3.6 * seen.speed_m_per_s, **lone)
     fastest = 3.6 * np.nan_to_num(seen.speed_m_per_s).max(initial=0.0)
     axes[3].set_ylim(0, 1.1 * fastest or None)  # a constant speed lies below the frame
     for axis in axes:
@@ -134,7 +135,3 @@ def band(magnitudes: FloatArray, deviations: FloatArray) -> tuple[FloatArray, Fl
     finite = np.where(np.isfinite(deviations), deviations, np.nan)
     half = np.minimum(BAND * finite, LARGEST_BAND)
     return magnitudes * np.exp(-half), magnitudes * np.exp(half)
-
-
-def _lone_point(time: FloatArray) -> dict[str, Any]:
-    return {"marker": "o"} if len(time) == 1 else {}
