@@ -133,9 +133,9 @@ def calendar() -> ResponseReturnValue:
 
 @pages.get("/suspension/<name>/trend.svg")
 def trend(name: str) -> ResponseReturnValue:
-    """Return the figure of the parameters along the mileage, or `of` one part of a bogie."""
+    """Return the figure of the parameters along the mileage, or `of` one of them."""
     state, part = _state(name), request.args.get("of", "")
-    if part and part not in _parts_of(state):
+    if part and part not in _figured(state):
         abort(404)
     return _svg(_trend, state, part)
 
@@ -234,7 +234,7 @@ def _suspension_page(name: str, form: AcknowledgementForm) -> str:
     cleared = [alarm for alarm in reversed(state.watched.alarms) if not alarm.is_open]
     newest = list(reversed(results[-N_TRIPS:]))
     mileages = state.series.mileage_km[np.isfinite(state.series.mileage_km)]
-    # a small figure of each part where parts are read; else one figure of all parameters
+    # a figure of each part where parts are read; else of those with a finding, and one of all
     figure = functools.partial(
         url_for, "pages.trend", name=name, version=version, language=current()
     )
@@ -252,7 +252,7 @@ def _suspension_page(name: str, form: AcknowledgementForm) -> str:
         row=view.rows[index],
         bogie=bogie_of(state, view.plan),
         no_part=why_no_part(results, state.outputs),
-        small=small_figures(state, {part: figure(of=part) for part in _parts_of(state)}),
+        small=small_figures(state, {part: figure(of=part) for part in _figured(state)}),
         trend=figure(),
         names=NAMES,
         alarms=[(alarm, newest_of(alarm, seen)) for alarm in state.alarms],
@@ -289,10 +289,11 @@ def _state(name: str) -> State:
     return view.states[view.keys[name]]
 
 
-def _parts_of(state: State) -> list[str]:
-    """Return the parameters with a figure of their own: all where parts of a bogie are read."""
+def _figured(state: State) -> list[str]:
+    """Return the parameters with a figure of their own: those of ``small_trends``."""
     names = [name for name in state.outputs if name != BODY_MASS]
-    return names if set(names) & set(BOGIE_PARTS) else []
+    has_parts = bool(set(names) & set(BOGIE_PARTS))
+    return [name for name in names if has_parts or state.severities[name] > Severity.NONE]
 
 
 def _choice() -> Choice:

@@ -196,13 +196,14 @@ def write_pages(report: Report, output: Path, *, draw: bool = True) -> None:
     """
     results, outputs = report.results, report.outputs
     done = [r for r in results if r.status == OK]
-    # where parts are read, each has a small figure of its own in place of the common trend
+    # where parts are read, each has a figure of its own in place of the common trend
     drawn, small = {}, {}
     if draw:
         relative = relative_to_first_healthy(results, report.commissionings)
         trend = trend_of_trips(relative, report.state, outputs, report.level, report.commissionings)
         small = small_trends(trend)
-        drawn = {} if small else {"trend": health_trend(trend)}
+        has_parts = bool(set(outputs) & set(BOGIE_PARTS))
+        drawn = {} if has_parts else {"trend": health_trend(trend)}
         drawn |= {
             "responses": trip_figures.trip_responses(results),
             "signals": trip_figures.trip_signals(done[-1] if done else results[-1]),

@@ -207,15 +207,15 @@ def _axis(
 
 
 def small_trends(trend: MileageTrend) -> dict[str, Figure]:
-    """Draw a figure of each parameter where parts of a bogie are read; else none.
+    """Draw a figure of each parameter with a finding, and of each part of a bogie.
 
     Those without a finding are small. All have the same range of mileages.
     """
-    if not any(panel.name in BOGIE_PARTS for panel in trend.panels):
-        return {}
+    has_parts = any(panel.name in BOGIE_PARTS for panel in trend.panels)
     figures = {
         panel.name: health_trend(replace(trend, panels=(panel,)), panel.severity == Severity.NONE)
         for panel in trend.panels
+        if has_parts or panel.severity > Severity.NONE
     }
     ends = [figure.axes[0].get_xlim() for figure in figures.values()]
     for figure in figures.values():
