@@ -28,6 +28,7 @@ LEAST_SPAN_PERCENT = 2.0
 """Smallest span of a parameter's axis, [%], so that spread does not look like change."""
 MARGIN = 0.05  # share of the span that stays free above and below
 SMALL_INCHES = 4.0, 2.1  # size of the figure of one part, of which several are side by side
+ONE_INCHES = 5.6, 3.4  # size of the figure of one finding, which is read on a phone too
 SMALL_MARGINS = {"left": 0.17, "right": 0.98, "top": 0.89, "bottom": 0.24}
 """Its margins, as shares of its size; they hold a title and percentages with two decimals."""
 HOLLOW: dict[str, Any] = {"mfc": "none", "color": FLAGGED_COLOUR, "ls": ""}
@@ -234,7 +235,7 @@ def health_trend(trend: MileageTrend, is_small: bool = False) -> Figure:
     has no legend.
     """
     n = len(trend.panels)
-    size = SMALL_INCHES if is_small else (7.0, 1.0 + 1.7 * n)
+    size = SMALL_INCHES if is_small else ONE_INCHES if n == 1 else (7.0, 1.0 + 1.7 * n)
     figure = Figure(figsize=size, layout=None if is_small else "constrained")
     axes: list[Axes] = list(figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0])
     if is_small:  # the same for all, and in half the time
@@ -357,5 +358,6 @@ def _legend(figure: Figure, axes: Sequence[Axes]) -> None:
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
             marks.setdefault(label, handle)
     if marks:
-        place: dict[str, Any] = {"loc": "outside upper center", "ncols": 3, "fontsize": "small"}
+        place: dict[str, Any] = {"loc": "outside upper center", "fontsize": "small"}
+        place["ncols"] = 3 if len(axes) > 1 else 2
         figure.legend(list(marks.values()), list(marks), **place)
