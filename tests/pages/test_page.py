@@ -190,20 +190,6 @@ def test_notes_for_the_model_file_name_the_trips(commissioned):
     json.dumps(notes)
 
 
-def test_place_of_the_notes_is_that_of_the_trips_and_can_be_written(commissioned):
-    found, outcome = commissioned
-    there = {"suspension": "S\udcff", "bogie": "trailing", "train": "7"}
-    manifests = tuple(replace(one, **there) for one in found.manifests)
-    place = training_notes(replace(found, manifests=manifests), outcome)["place"]
-    assert place == {
-        "suspension": r"S\udcff",
-        "bogie": "trailing",
-        "side": "",
-        "train": "7",
-        "car": "",
-    }
-
-
 def test_doubts_are_said(commissioned):
     found, outcome = commissioned
     assert words.doubts(outcome) == []

@@ -42,22 +42,12 @@ def test_fleet_draws_the_worst_bogies_with_links_to_their_trends(site):
     assert sorted(links) == sorted(one + name for one in addresses for name in BOGIE_PARTS)
     assert links[0].startswith(addresses[0])  # the worst one first
     assert "Not drawn" not in page
-    assert "damper of axle 2, left</td>" in page
     assert "replace at the visit of 2026-03-15" in page
     assert NONE_NAMED not in page
     assert not re.search(r"<script(?! src=)|\son\w+=|style=", page)
     none = client.get("/?severity=none", **BASE).text
     assert none.count('<svg class="bogie"') == 1
     assert "None of the twelve parts has an alarm or has worn." in none
-
-
-def test_tiles_name_suspension_and_bogie_in_german(tmp_path):
-    places = [Place(f"DG{i}", bogie) for i, bogie in ((1, "leading"), (2, "trailing"))]
-    every = [one for place in places for one in trips(place, 3, n_trips=4)]
-    page = client_of(tmp_path / "fleet.db", every)[0].get(
-        "/", headers={"Accept-Language": "de"}, **BASE
-    )
-    assert re.findall(r"<span>(DG.*?)</span>", page.text) == ["DG1 vorn", "DG2 hinten"]
 
 
 def test_suspension_has_a_figure_of_each_part_those_without_alarm_folded(site):

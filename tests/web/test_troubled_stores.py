@@ -246,8 +246,9 @@ def test_corrupted_store_gives_no_error_of_the_program(path, good, kind):
         look()
         addresses = ["/", "/plan", "/plan/calendar.svg", "/state"]
         for name in board.view.keys:
-            addresses += [f"/suspension/{name}{end}" for end in ("", "/trend.svg")]
-            addresses += [f"/suspension/{name}/responses.svg", f"/state?of={name}"]
+            addresses += [f"/suspension/{name}", f"/state?of={name}"]
+        for name in list(board.view.keys)[:2]:  # figures take longest
+            addresses += [f"/suspension/{name}/{end}.svg" for end in ("trend", "responses")]
         for address in addresses:
             answer = asked(client, address, 20)
             assert answer.status_code in (200, 404, 503), (address, answer.text)

@@ -55,7 +55,6 @@ from suspnet.trains.pages.trend import health_trend, small_trends, trend_of_stat
 from suspnet.trains.pages.trip_figures import response_figure
 
 MAX_ROWS = 50  # largest number of rows of a table of the fleet; fewer are chosen by train and state
-MAX_JOBS = 10  # largest number of jobs on the page of the fleet; the page of the plan has all
 N_TRIPS = 20  # number of the newest trips in the table of a suspension
 OUTPUTS = tuple(name for name in PARAMETERS if name != BODY_MASS)
 SHORT = {"leading": "lead.", "trailing": "trail."}  # short words of a place, for a tile
@@ -82,7 +81,7 @@ def fleet() -> ResponseReturnValue:
     """Return the page of the fleet."""
     view, choice = _view(), _choice()
     chosen = [i for i, state in enumerate(view.states) if choice.holds(state)]
-    alarms, jobs = _active_alarms(view, chosen), _jobs(view, choice)
+    alarms = _active_alarms(view, chosen)
     of_train = Choice(choice.train)
     severities = [state.severity for state in view.states if of_train.holds(state)]
     entries = view.entries
@@ -96,12 +95,10 @@ def fleet() -> ResponseReturnValue:
         trains=_tiles_of_trains(view, chosen),
         alarms=alarms[:MAX_ROWS],
         n_alarms=len(alarms),
-        rows=_linked_rows(view, chosen[:MAX_ROWS]),
+        rows=[view.rows[i] | {"address": _address(view.names[i])} for i in chosen[:MAX_ROWS]],
         n_rows=len(chosen),
         parameters=OUTPUTS,
         plan=view.plan,
-        jobs=jobs[:MAX_JOBS],
-        n_jobs=len(jobs),
         address=_address,
         **bogies_shown([entries[i] for i in chosen], view.plan),
     )
@@ -112,14 +109,18 @@ def fleet() -> ResponseReturnValue:
 def plan() -> ResponseReturnValue:
     """Return the page of the plan."""
     view, choice = _view(), _choice()
-    return _page(
-        "plan_page.html",
-        _fleet_version(view),
-        plan=view.plan,
-        choice=choice,
-        train_names=_train_names(view),
-        jobs=_jobs(view, choice),
-    )
+    names = {
+        place_of(state): name
+        for name, state in zip(view.names, view.states, strict=True)
+        if choice.holds(state)
+    }
+    jobs = [
+        job | {"address": _address(names[place])}
+        for job in joined(view.plan.rows() if view.plan else [])
+        if (place := (job["train"], job["car"], job["suspension"])) in names
+    ]
+    values = {"plan": view.plan, "jobs": jobs, "train_names": _train_names(view)}
+    return _page("plan_page.html", _fleet_version(view), choice=choice, **values)
 
 
 @pages.get("/plan/calendar.svg")
@@ -324,27 +325,6 @@ def _active_alarms(view: FleetView, chosen: Sequence[int]) -> list[dict[str, Any
         for alarm in view.states[i].alarms
     ]
     return sorted(alarms, key=lambda row: (-row["alarm"].severity, row["seen"] is not None))
-
-
-def _linked_rows(view: FleetView, indices: Sequence[int]) -> list[dict[str, Any]]:
-    """Return rows of the overview with the address of each suspension's page."""
-    return [view.rows[i] | {"address": _address(view.names[i])} for i in indices]
-
-
-def _jobs(view: FleetView, choice: Choice) -> list[dict[str, Any]]:
-    """Return the jobs of the plan for the chosen suspensions, with their addresses."""
-    if view.plan is None:
-        return []
-    names = {
-        place_of(state): name
-        for name, state in zip(view.names, view.states, strict=True)
-        if choice.holds(state)
-    }
-    return [
-        job | {"address": _address(names[place])}
-        for job in joined(view.plan.rows())
-        if (place := (job["train"], job["car"], job["suspension"])) in names
-    ]
 
 
 def _tiles_of_trains(

@@ -17,7 +17,6 @@ from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.runs.figures import MILEAGE_LABEL, SYMBOLS, say
 from suspnet.trains.maintenance.alarms import Alarm
 from suspnet.trains.maintenance.judge import ABSURD
-from suspnet.trains.maintenance.life import Life
 from suspnet.trains.maintenance.state import State
 
 TRIP_COLOUR, FLAGGED_COLOUR, MISSING_COLOUR = "#3b82c4", "#9467bd", "#d64545"
@@ -29,8 +28,7 @@ LEAST_SPAN_PERCENT = 2.0
 MARGIN = 0.05  # share of the span that stays free above and below
 SMALL_INCHES = 4.0, 2.1  # size of the figure of one part, of which several are side by side
 ONE_INCHES = 5.6, 3.4  # size of the figure of one finding, which is read on a phone too
-SMALL_MARGINS = {"left": 0.17, "right": 0.98, "top": 0.89, "bottom": 0.24}
-"""Its margins, as shares of its size; they hold a title and percentages with two decimals."""
+LEFT_INCHES, BOTTOM_INCHES = 0.85, 0.5  # margins that hold percentages with two decimals
 HOLLOW: dict[str, Any] = {"mfc": "none", "color": FLAGGED_COLOUR, "ls": ""}
 AHEAD = 0.5  # largest share of the mileage so far by which a figure extends into the future
 
@@ -151,7 +149,11 @@ def _panel(
     shown, ends = 100 * values[is_estimated], 100 * intervals[is_estimated]
     flagged_shown = flagged[is_estimated]
     ends[flagged_shown | ~np.isfinite(ends).all(axis=1)] = np.nan
-    limits, passing_km = state.limits.get(name), _passing(state.lives.get(name), state.last_km)
+    limits, life, passing_km = state.limits.get(name), state.lives.get(name), None
+    if life is not None:
+        low_km, high_km = (state.last_km + km for km in life.interval_km())
+        if np.isfinite(low_km) and high_km > state.last_km:
+            passing_km = low_km, high_km
     # the axis holds the act limit that the parameter has passed or will pass
     act = np.nan
     if limits and (passing_km or any(a.severity == Severity.ACT for a in state.alarms_of(name))):
@@ -175,13 +177,6 @@ def _panel(
         _axis(shown, ends, flagged_shown, act),
         state.severities.get(name, Severity.NONE),
     )
-
-
-def _passing(life: Life | None, last_km: float) -> tuple[float, float] | None:
-    if life is None:
-        return None
-    low, high = life.interval_km()
-    return (last_km + low, last_km + high) if np.isfinite(last_km + low) and high > 0 else None
 
 
 def _axis(
@@ -236,10 +231,8 @@ def health_trend(trend: MileageTrend, is_small: bool = False) -> Figure:
     """
     n = len(trend.panels)
     size = SMALL_INCHES if is_small else ONE_INCHES if n == 1 else (7.0, 1.0 + 1.7 * n)
-    figure = Figure(figsize=size, layout=None if is_small else "constrained")
+    figure = Figure(figsize=size)
     axes: list[Axes] = list(figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0])
-    if is_small:  # the same for all, and in half the time
-        figure.subplots_adjust(**SMALL_MARGINS)
     for axis, panel in zip(axes, trend.panels, strict=True):
         kind = "of-nominal-axis" if panel.name == BODY_MASS else "of-healthy-axis"
         axis.set_ylabel(Finding(kind, symbol=SYMBOLS[panel.name]))
@@ -259,10 +252,20 @@ def health_trend(trend: MileageTrend, is_small: bool = False) -> Figure:
         _draw_passing(axes, trend)
     axes[-1].set_xlabel(MILEAGE_LABEL)
     figure.align_ylabels(axes)
+    n_lines = 0
     if is_small:
         axes[0].set_ylabel(axes[0].get_ylabel().partition("[")[2].rstrip("]"))
     else:
-        _legend(figure, axes)
+        n_lines = _legend(figure, axes)
+    # not "constrained", which takes half of the time of drawing
+    width, height = size
+    figure.subplots_adjust(
+        left=LEFT_INCHES / width,
+        right=1 - 0.1 / width,
+        bottom=BOTTOM_INCHES / height,
+        top=1 - (0.25 + 0.21 * n_lines) / height,
+        hspace=0.12,
+    )
     if trend.n_unplaced:
         axes[0].set_title(Finding("unplaced-trips", n_unplaced=trend.n_unplaced), fontsize="small")
     return figure
@@ -351,13 +354,14 @@ def _draw_passing(axes: Sequence[Axes], trend: MileageTrend) -> None:
         axes[0].set_xlim(right=max(high for *_, high in shown) / 1000)
 
 
-def _legend(figure: Figure, axes: Sequence[Axes]) -> None:
-    """Label every kind of mark once, above the axes."""
+def _legend(figure: Figure, axes: Sequence[Axes]) -> int:
+    """Label every kind of mark once, above the axes; return the number of lines."""
     marks: dict[str, Any] = {}
     for axis in axes:
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
             marks.setdefault(label, handle)
+    n_columns = 3 if len(axes) > 1 else 2
     if marks:
-        place: dict[str, Any] = {"loc": "outside upper center", "fontsize": "small"}
-        place["ncols"] = 3 if len(axes) > 1 else 2
-        figure.legend(list(marks.values()), list(marks), **place)
+        place: dict[str, Any] = {"loc": "upper center", "fontsize": "small"}
+        figure.legend(list(marks.values()), list(marks), ncols=n_columns, **place)
+    return -(-len(marks) // n_columns)

@@ -37,7 +37,6 @@ def trip_signals(result: TripResult) -> Figure:
     if curves is None or not np.isfinite(curves.overview_mean).any():
         for axis in axes:
             say(axis, "no signals")
-        _label_signals(axes, "time")
         return figure
     parts = curves.overview_low, curves.overview_high, curves.overview_mean
     draw_signals(axes, Overview(curves.overview_s, *parts, curves.overview_speed))
@@ -71,13 +70,9 @@ def draw_signals(axes: Sequence[Axes], seen: Overview) -> None:
     for axis in axes:
         axis.margins(x=0.01)
         axis.grid(True, alpha=0.3)
-    _label_signals(axes, f"time [{'min' if minutes else 's'}]")
-
-
-def _label_signals(axes: Sequence[Axes], time: str) -> None:
     for axis, channel in zip(axes, CHANNEL_TITLES, strict=False):
         axis.set_ylabel(f"{channel}\n[m/s²]")
-    axes[3].set(ylabel="speed\n[km/h]", xlabel=time)
+    axes[3].set(ylabel="speed\n[km/h]", xlabel=f"time [{'min' if minutes else 's'}]")
 
 
 def trip_responses(results: Sequence[TripResult]) -> Figure:
@@ -91,8 +86,10 @@ def response_figure(trips: Sequence[tuple[float, TripCurves | TripResponses]]) -
     `trips` are mileages and curves. Colours show the mileage; the last trip has its 95 % band where
     its spread is known.
     """
-    figure = Figure(figsize=(8.4, 5.6), layout="constrained")
+    # not "constrained", which takes half of the time of drawing
+    figure = Figure(figsize=(8.4, 5.6))
     axes = figure.subplots(2, 2, sharex=True, sharey="row")
+    figure.subplots_adjust(left=0.09, right=0.98, bottom=0.09, top=0.88, hspace=0.1, wspace=0.05)
     shown = sorted(trips, key=lambda trip: np.nan_to_num(trip[0], nan=-np.inf))
     # colours only if mileages differ: a scale of one value would have no range
     mileage = np.array([km / 1000 for km, _ in shown])
@@ -121,9 +118,9 @@ def response_figure(trips: Sequence[tuple[float, TripCurves | TripResponses]]) -
     axes[1][0].set_ylabel("coherence")
     handles, labels = axes[0][0].get_legend_handles_labels()
     if handles:
-        figure.legend(handles, labels, loc="outside upper center", fontsize="small")
+        figure.legend(handles, labels, loc="upper center", fontsize="small")
     if scale is not None:
-        figure.colorbar(ScalarMappable(scale, "viridis"), ax=axes, label=MILEAGE_LABEL)
+        figure.colorbar(ScalarMappable(scale, "viridis"), ax=axes, label=MILEAGE_LABEL, pad=0.02)
     return figure
 
 
