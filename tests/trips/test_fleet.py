@@ -301,7 +301,8 @@ def test_metrics_and_figures(done, broken, alone):
     assert details["speeds"] == "64.4 to 75.6 m/s"
     assert details["healthy is"] == "the vehicle file's drawing"
     drawn = {path.stem for path in (folder / "figures").glob("*.png")}
-    findings = {f"trend_{one['parameter']}" for one in metrics["trends"] if one["severity"] != "none"}
+    found = [one["parameter"] for one in metrics["trends"] if one["severity"] != "none"]
+    findings = {f"trend_{name}" for name in found}
     assert drawn == FIGURES | findings
 
 

@@ -297,7 +297,7 @@ def openapi() -> Row:
     }
 
 
-def _operation(route: Route, contents: Row) -> Row:
+def _operation(route: Route, contents: dict[Any, Row]) -> Row:
     responses: Row = {"200": {"description": "The answer."} | contents[route.answer]}
     responses["304"] = {"description": "As the ETag that was sent."}
     errors = {*ERRORS} | ({404} if "<id>" in route.rule else set())

@@ -87,10 +87,9 @@ def fleet() -> ResponseReturnValue:
     entries = view.entries
     page = _page(
         "fleet_page.html",
-        _fleet_version(view),
+        _digest(view.at, view.version),
         finding=finding([view.rows[i] for i in chosen]),
         choice=choice,
-        train_names=_train_names(view),
         counts={str(level): severities.count(level) for level in sorted(Severity, reverse=True)},
         trains=_tiles_of_trains(view, chosen),
         alarms=alarms[:MAX_ROWS],
@@ -119,8 +118,8 @@ def plan() -> ResponseReturnValue:
         for job in joined(view.plan.rows() if view.plan else [])
         if (place := (job["train"], job["car"], job["suspension"])) in names
     ]
-    values = {"plan": view.plan, "jobs": jobs, "train_names": _train_names(view)}
-    return _page("plan_page.html", _fleet_version(view), choice=choice, **values)
+    version = _digest(view.at, view.version)
+    return _page("plan_page.html", version, plan=view.plan, choice=choice, jobs=jobs)
 
 
 @pages.get("/plan/calendar.svg")
@@ -215,7 +214,7 @@ def acknowledge(name: str) -> ResponseReturnValue:
 def state() -> ResponseReturnValue:
     """Return the version of a page's state and when it was read; cheap, as pages poll it."""
     view, name = _view(), request.args.get("of", "")
-    version = _suspension_version(view, name) if name else _fleet_version(view)
+    version = _suspension_version(view, name) if name else _digest(view.at, view.version)
     return {"version": version, "words": spoken(current_refresher().words)}
 
 
@@ -269,8 +268,10 @@ def _suspension_page(name: str, form: AcknowledgementForm) -> str:
 
 def _page(template: str, version: str, of: str = "", **values: Any) -> str:
     """Return a page; the browser replaces it when `version` changes, never if it is empty."""
-    shared = {"view": _view(), "refresher": current_refresher()}
-    return render_template(template, version=version, of=of, **shared, **values)
+    view = _view()
+    trains = sorted({state.series.place.train for state in view.states} - {""}, key=natural)
+    values |= {"view": view, "refresher": current_refresher(), "train_names": trains}
+    return render_template(template, version=version, of=of, **values)
 
 
 def message_page(title: str, words: str) -> str:
@@ -305,11 +306,6 @@ def _choice() -> Choice:
 
 def _address(name: str) -> str:
     return url_for("pages.suspension", name=name)
-
-
-def _train_names(view: FleetView) -> list[str]:
-    """Return the trains of the fleet that have a name."""
-    return sorted({state.series.place.train for state in view.states} - {""}, key=natural)
 
 
 def _active_alarms(view: FleetView, chosen: Sequence[int]) -> list[dict[str, Any]]:
@@ -353,10 +349,6 @@ def _tiles_of_trains(
         tiles = trains.setdefault(place.train, {}).setdefault(place.car, [])
         tiles.append(tile | {"words": words, "reason": reason})
     return trains
-
-
-def _fleet_version(view: FleetView) -> str:
-    return _digest(view.at, view.version)
 
 
 def _suspension_version(view: FleetView, name: str) -> str:

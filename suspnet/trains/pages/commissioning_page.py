@@ -187,7 +187,7 @@ def _trips(healthy: HealthyTrips, outcome: Commissioned) -> list[dict[str, Any]]
     """Return what page and JSON show of each trip."""
     rows = []
     for i, manifest in enumerate(healthy.manifests):
-        read = [
+        read: list[tuple[Any, float | None]] = [
             (group, misfit)
             for group, misfit in zip(healthy.groups, outcome.misfits, strict=True)
             if group.trip == i

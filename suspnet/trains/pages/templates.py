@@ -123,10 +123,6 @@ def with_unit(number: str, name: str) -> str:
     return f"{decimal(number)}\N{NO-BREAK SPACE}{unit}"
 
 
-def _thousands(value: float) -> str:
-    return unbroken(thousands(value))
-
-
 def _to_go(life: Life | None, unknown: str = "") -> Markup:
     """Return the distance to the act limit, with the 80 % interval in small print.
 
@@ -146,7 +142,7 @@ def _to_go(life: Life | None, unknown: str = "") -> Markup:
 
 
 def _rounded(km: float) -> str:
-    return _thousands(float(f"{km:.2g}")) if math.isfinite(km) else gettext("no end")
+    return unbroken(thousands(float(f"{km:.2g}"))) if math.isfinite(km) else gettext("no end")
 
 
 def symbol(name: str) -> Markup:
@@ -189,7 +185,7 @@ FILTERS = {
     "named": named,
     "part_words": lambda name: spoken(part_words(name)),
     "plus_minus": _plus_minus,
-    "thousands": _thousands,
+    "thousands": lambda value: unbroken(thousands(value)),
     "symbol": symbol,
     "range": _range,
     "si": _si,

@@ -278,9 +278,9 @@ def _draw_trips(axis: Axes, panel: Panel, level: float) -> None:
         axis.plot(thousands_km[clear], panel.values[clear], ".", ms=6, label="trip", **style)
     has_interval = np.isfinite(panel.intervals[:, 0])
     if has_interval.any():
-        label = Finding("interval", level=100 * level)
         ends = panel.intervals[has_interval].T
-        axis.vlines(thousands_km[has_interval], *ends, label=label, alpha=0.5, lw=0.9, **style)
+        words = Finding("interval", level=100 * level)
+        axis.vlines(thousands_km[has_interval], *ends, label=words, alpha=0.5, lw=0.9, **style)
     if not clear.all():
         values, label = panel.values[~clear], "flagged: see the table"
         axis.plot(thousands_km[~clear], values, "o", ms=4.5, label=label, **HOLLOW)
