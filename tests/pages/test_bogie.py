@@ -45,7 +45,7 @@ from suspnet.trains.pages.bogie import (
 )
 from suspnet.trains.pages.details import wear_words
 from suspnet.trains.pages.output import summary, write_overview
-from suspnet.trains.pages.overview import Evaluated, same_columns
+from suspnet.trains.pages.overview import Evaluated
 from suspnet.trains.pages.report import Report, write_report
 from suspnet.trains.pages.templates import environment
 from suspnet.trains.pages.trend import small_trends, trend_of_state
@@ -538,12 +538,6 @@ def test_trips_without_an_estimate_have_no_empty_columns(few):
     lines = summary(none, outputs_of(none)).splitlines()
     names = [cell.strip() for cell in lines[1].strip("|").split("|")]
     assert names == ["trip", "1000 km", "averages", "state"]
-
-
-def test_rows_of_a_mixed_fleet_have_the_columns_of_all():
-    found = same_columns([{"a": 1}, {"a": 2, "b": 3.0}])
-    assert [list(one) for one in found] == [["a", "b"]] * 2
-    assert np.isnan(found[0]["b"])
 
 
 def test_figure_of_the_finding_is_first_and_no_smaller_than_others(fading):

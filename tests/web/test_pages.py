@@ -170,7 +170,7 @@ def test_alarm_that_is_over_or_worse_than_shown_is_not_acknowledged(client, refr
 def test_foreign_names_of_the_host_are_refused(client):
     for host in ("127.0.0.1:8050", "localhost", "depot.lan:80"):
         assert client.get("/", headers={"Host": host}).status_code == 200
-    for address in ("/", "/state", "/nothing"):
+    for address in ("/", "/state", "/nothing", "/healthz", "/metrics"):
         answer = client.get(address, headers={"Host": "evil.example"})
         assert answer.status_code == 400
         assert "suspension" not in answer.text
