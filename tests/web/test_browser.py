@@ -145,6 +145,7 @@ def tab_until(browser, is_there, most=80):
     raise AssertionError("the keyboard does not get there")
 
 
+@pytest.mark.slow  # test_pages.py sends the form
 def test_alarm_is_acknowledged_by_keys_alone(browser, own):
     address, _, path = own
     browser.get(address)

@@ -146,7 +146,7 @@ def kind_of(address):
     return path.rpartition("/")[2] if path.endswith(".svg") else address
 
 
-@pytest.mark.parametrize("strips", [True, False])
+@pytest.mark.parametrize("strips", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_every_address_of_every_page_works_below_the_path_of_a_proxy(site, strips):
     waiting, seen = {f"{PREFIX}/", f"{PREFIX}/no-such-page"}, set()
     while waiting:
