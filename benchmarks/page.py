@@ -143,12 +143,11 @@ def pages(ask: Ask, by: str, name: str) -> list[Row]:
     """Return the rows of each page and figure."""
     addresses = {
         "page of the fleet": "/",
-        "page of the fleet, all rows": "/?rows=all",
         "page of one train": "/?train=3",
         "page of the plan": "/plan",
         "page of a suspension": f"/suspension/{name}",
-        "figure of its trends": f"/suspension/{name}/trend.json",
-        "figure of its responses": f"/suspension/{name}/responses.json",
+        "figure of its trends": f"/suspension/{name}/trend.svg",
+        "figure of its responses": f"/suspension/{name}/responses.svg",
         "question for news": "/state",
     }
     return [asked(what, by, ask, address) for what, address in addresses.items()]

@@ -111,7 +111,7 @@ def next_steps(
             f"to check them too: {again}{where * (folder is None)}",
         ]
     vehicles = {check.vehicle for check in checks}
-    ready_of = [[c for c in each.checks if c.state == READY] for each in suspensions(checks)]
+    ready_of = [[c for c in each if c.state == READY] for each in suspensions(checks).values()]
     n_ready = [len(ready) for ready in ready_of]
     folder, *others = arguments.trips
     if any(check.unchecked for check in checks) or min(n_ready, default=0) < LEAST_TRIPS:

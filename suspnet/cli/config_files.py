@@ -191,9 +191,8 @@ def _keys(root: yaml.Node | None) -> Iterator[tuple[Keys, yaml.Node, yaml.Mark]]
 
 
 SWITCHES = frozenset(
-    "check_channels estimate_mass figures fit_intercept log_ratios mass_known once "
-    "open_browser open_to_network pdf progress refine sines standardised tls "
-    "xlsx".split()
+    "check_channels estimate_mass figures fit_intercept log_ratios mass_known once open_browser "
+    "open_to_network progress refine sines standardised tls".split()
 )
 """Keys that are either on or off, in whichever group they are."""
 WORDS = {"yes": True, "on": True, "true": True, "no": False, "off": False, "false": False}

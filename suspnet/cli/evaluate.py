@@ -33,7 +33,6 @@ from suspnet.runs.sweeps import write_table6
 from suspnet.trains.history import History
 from suspnet.trains.jobs.fleet import evaluate_fleet
 from suspnet.trains.jobs.maintenance import existing_history, write_maintenance
-from suspnet.trains.pages.output import check_documents, write_documents
 from suspnet.trains.pages.overview import Evaluated
 
 log = logging.getLogger(__name__)
@@ -101,7 +100,6 @@ def _read_trips(
     config: DictConfig, runs: Sequence[Path], output: Path, store: History | None
 ) -> int:
     """Read a folder of trips with the models of some runs; return the exit code."""
-    check_documents(pdf=config.pdf, xlsx=config.xlsx)  # before hours of reading
     models = [load_model(folder, config.device) for folder in runs]
     done = evaluate_fleet(
         Path(config.trips),
@@ -113,7 +111,6 @@ def _read_trips(
         config.seed,
         config.figures,
     )
-    write_documents(done, output, pdf=config.pdf, xlsx=config.xlsx)
     return exit_code(done)
 
 

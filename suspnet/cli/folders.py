@@ -232,7 +232,7 @@ def _compared(content: Any) -> Any:
 
 UNNAMED = {
     *("experiment", "study", "job", "run", "out", "progress", "figures", "threads", "device"),
-    *("workers", "resume", "pdf", "xlsx", "language", "dataset"),
+    *("workers", "resume", "language", "dataset"),
 }
 """Keys left out of folder names: the path shows them already, or they change no number."""
 MAX_BYTES = 100

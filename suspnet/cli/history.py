@@ -14,7 +14,6 @@ import pyarrow as pa
 from tabulate import tabulate
 
 from suspnet.ground import ledger
-from suspnet.ground.extras import check_extra
 from suspnet.ground.parameters import Cause
 from suspnet.ground.progress import LineFormatter
 from suspnet.ground.records import PLACE, Place, TripResult, outputs_of
@@ -27,7 +26,6 @@ from suspnet.trains.history.outbox import MOST_LISTED
 from suspnet.trains.history.store import acknowledge_alarms
 from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.trains.maintenance.series import Event
-from suspnet.trains.pages.xlsx import write_xlsx
 
 
 def history(arguments: Namespace) -> None:
@@ -124,8 +122,6 @@ def _acknowledge(store: History, arguments: Namespace) -> str:
 
 
 def _export(store: History, arguments: Namespace) -> str:
-    if arguments.xlsx:
-        check_extra("xlsx", "xlsxwriter")
     tables: dict[str, list[dict[str, Any]]] = {
         name: [] for name in ("trips", "events", "alarms", "acknowledgements")
     }
@@ -143,8 +139,6 @@ def _export(store: History, arguments: Namespace) -> str:
     for name, rows in tables.items():
         if rows:
             write_table(pa.Table.from_pylist(rows), arguments.folder / name)
-    if arguments.xlsx:
-        write_xlsx(tables, arguments.folder / "history.xlsx")
     counts = [f"{len(rows)} {name}" for name, rows in tables.items()]
     return f"{', '.join(counts[:-1])} and {counts[-1]} -> {arguments.folder}"
 

@@ -214,9 +214,6 @@ def history_parser() -> ArgumentParser:
     export.add_argument(
         "folder", type=Path, metavar="DIR", help="a new folder, or that of an earlier export [path]"
     )
-    export.add_argument(
-        "--xlsx", action="store_true", help="also as one file for spreadsheets [switch]"
-    )
     _add_operation(does)
     return parser
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from suspnet.depot.web.access import Access
 
 log = logging.getLogger(__name__)
-NEEDED = ("flask", "flask_wtf", "waitress", "plotly", "pydantic")
+NEEDED = ("flask", "flask_wtf", "waitress", "pydantic")
 """Packages of the extra `live` that the pages need."""
 END_S = 2.0
 """Longest wait for each part of the program at the end, [s]."""

@@ -124,7 +124,7 @@ _SENSOR = re.compile(
     r"(axle_box|bogie|frame|body)(?:[ _](axle\d|centre))?(?:[ _](left|right|middle))?"
 )
 """A sensor by its name in manifests or in layouts: "axle_box axle2 left", "frame_centre_left"."""
-_NAMING = (OF, "sensor", "order-for-sensor", "sensor-name")
+_NAMING = (OF, "sensor", "sensor-name")
 """Kinds whose `name` is that of a sensor also where it is one plain word, as "body"."""
 
 

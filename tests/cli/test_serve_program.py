@@ -124,8 +124,10 @@ def test_port_that_is_taken_is_one_line(refused, path):
 
 
 def test_missing_package_names_the_extra(refused, path, monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "plotly" else name)
-    assert 'plotly is missing: pip install ".[live]"' in refused(f"store={path}")
+    monkeypatch.setattr(
+        "importlib.util.find_spec", lambda name: None if name == "waitress" else name
+    )
+    assert 'waitress is missing: pip install ".[live]"' in refused(f"store={path}")
 
 
 @pytest.mark.parametrize(("number", "code"), ENDS)

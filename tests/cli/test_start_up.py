@@ -9,7 +9,7 @@ from cli_runner import ROOT
 
 from suspnet.cli.start import PROGRAMS
 
-SLOW = {"torch", "matplotlib", "sklearn", "sqlalchemy", "plotly"}
+SLOW = {"torch", "matplotlib", "sklearn", "sqlalchemy"}
 """What takes seconds to import."""
 WITHOUT_SCIPY = ("check", "history")
 """Programs whose options name what is read and written, and no number of a model."""

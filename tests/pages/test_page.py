@@ -9,10 +9,8 @@ from html import unescape
 from types import SimpleNamespace
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from commissioned_example import MASSES, SETTINGS, UNCERTAIN, commissioned_example, trip
-from matplotlib.figure import Figure
 
 from suspnet.estimation.damping_laws import Laws
 from suspnet.estimation.flags import INCOMPLETE, UNTRUSTED
@@ -54,10 +52,10 @@ def text_of(page):
 # reference
 
 
-def test_page_is_german_where_it_is_asked_for(commissioned):
-    drawn = dict.fromkeys(("responses", "numbers"), Figure(figsize=(1, 1)))
+def test_page_is_german_where_it_is_asked_for(commissioned, tmp_path, blank):
     with speaking("de"):
-        text = text_of(figures._page(*commissioned, drawn))
+        write_outcome(tmp_path, *commissioned)
+    text = text_of((tmp_path / "commissioning.html").read_text(encoding="utf-8"))
     for said in (
         "Inbetriebnahme von am96",
         "Das Fahrzeug erklärt seine gesunden Fahrten (3 Fahrten): Die Abweichung ist das 0,",
@@ -118,18 +116,6 @@ def test_residuals_have_the_size_of_the_noise(commissioned):
     assert left[i, 0, k] == pytest.approx(expected)
 
 
-def test_curves_are_kept_with_what_is_left(commissioned, written):
-    outcome = commissioned[1]
-    table = pq.read_table(written[0] / "commissioning_responses.parquet").to_pydict()
-    n_bins = len(outcome.frequencies_hz)
-    assert table["trip"] == [f"trip_{i}" for i in range(3) for _ in range(n_bins)]
-    for what in ("observed", "nominal", "fitted"):
-        expected = np.abs(getattr(outcome, what)[:, 1]).ravel()
-        np.testing.assert_array_equal(table[f"{what}_magnitude_s"], expected)
-    shape = outcome.deviations[:, 0].ravel()
-    np.testing.assert_array_equal(table["deviation_p"], shape)
-
-
 def test_notes_hold_the_law_of_damping_over_temperature(commissioned):
     found, outcome = commissioned
     law = DampingByTemperature(12.0, (-0.004, -0.0051), (0.002, 0.0003))
@@ -171,11 +157,11 @@ def test_page_stands_alone_and_holds_no_nan(written):
     assert not re.search(r"\bnan\b|\binf\b|None", text_of(page), flags=re.IGNORECASE)
     assert "null" not in json.dumps(content)
     images = re.findall(r'<img src="data:image/(?:svg\+xml|png);base64,([^"]*)"', page)
-    assert len(images) == page.count("<img") == 2
+    assert len(images) == page.count("<img") == 1
     assert all(len(base64.b64decode(one, validate=True)) > 1000 for one in images)
     assert not re.search(r'(?:src|href)="(?!data:|#)', page)
     names = {path.name for path in (folder / "figures").iterdir()}
-    assert names == {"commissioning_responses.png", "commissioning_numbers.png"}
+    assert names == {"commissioning_responses.png"}
     assert all((folder / "figures" / name).read_bytes()[1:4] == b"PNG" for name in names)
 
 
@@ -204,20 +190,6 @@ def test_notes_for_the_model_file_name_the_trips(commissioned):
     json.dumps(notes)
 
 
-def test_place_of_the_notes_is_that_of_the_trips_and_can_be_written(commissioned):
-    found, outcome = commissioned
-    there = {"suspension": "S\udcff", "bogie": "trailing", "train": "7"}
-    manifests = tuple(replace(one, **there) for one in found.manifests)
-    place = training_notes(replace(found, manifests=manifests), outcome)["place"]
-    assert place == {
-        "suspension": r"S\udcff",
-        "bogie": "trailing",
-        "side": "",
-        "train": "7",
-        "car": "",
-    }
-
-
 def test_doubts_are_said(commissioned):
     found, outcome = commissioned
     assert words.doubts(outcome) == []
@@ -235,15 +207,15 @@ def test_doubts_are_said(commissioned):
     assert words.doubts(replace(outcome, misfit=INCOMPLETE)) == []
 
 
-def test_what_healthy_means_is_german_with_its_laws(commissioned):
+def test_what_healthy_means_is_german_with_its_laws(commissioned, tmp_path, blank):
     found, outcome = commissioned
     spread = tuple(tuple(row) for row in np.diag([1e-4] * 5).tolist())
     law = DampingByVelocity(
         (0.0505, 0.0417), (0.02, 0.05, 0.5, 6, 4), (0.1, 0.1, 1, 10, 10), spread
     )
-    drawn = dict.fromkeys(("responses", "numbers"), Figure(figsize=(1, 1)))
     with speaking("de"):
-        text = text_of(figures._page(found, replace(outcome, laws=Laws(None, law)), drawn))
+        write_outcome(tmp_path, found, replace(outcome, laws=Laws(None, law)))
+    text = text_of((tmp_path / "commissioning.html").read_text(encoding="utf-8"))
     sentence = text[text.index("Gesund heißt jetzt, was diese Fahrten zeigten: 100 % sind k p =") :]
     assert "(± eine Standardabweichung)." in sentence[:200]
     assert not re.search(r"\b(loses|compared|more|across)\b", sentence[:600])
@@ -346,24 +318,6 @@ def test_no_change_is_relative_to_a_number_near_0(name, before, after, expected)
     number = words.Number(quantity, 1.0, *ends, (0.1, 0.01))
     assert number.ratio == number.as_json()["ratio"] == expected
     assert words.cells(number)["change"] == (None if expected is None else expected - 1)
-
-
-def test_phases_of_drawing_and_commissioned_vehicle_lie_in_the_same_turn(commissioned):
-    """The first bin of the drawing is at +170 degrees, that of the commissioned one at -170."""
-    found, outcome = commissioned
-    n = len(outcome.frequencies_hz)
-    fitted = np.exp(1j * np.radians(np.linspace(-170, -260, n)))
-    nominal = fitted * np.exp(-1j * np.radians(20.0))
-    turned = replace(
-        outcome,
-        observed=np.broadcast_to(fitted * np.exp(0.2j), outcome.observed.shape),
-        nominal=np.broadcast_to(nominal, outcome.nominal.shape),
-        fitted=np.broadcast_to(fitted, outcome.fitted.shape),
-    )
-    phases = figures.responses(found, turned).axes[2].lines
-    measured, drawing, now = (line.get_ydata() for line in phases)
-    np.testing.assert_allclose(drawing - now, -20.0, atol=1e-9)
-    np.testing.assert_allclose(measured - now, np.degrees(0.2), atol=1e-9)
 
 
 def test_plus_and_minus_in_the_verdict_say_what_they_are(written):

@@ -19,8 +19,7 @@ from suspnet.trains.jobs.fleet import FleetSettings, evaluate_fleet
 from suspnet.trains.maintenance.relative import relative_to_first_healthy
 from suspnet.trains.maintenance.series import series_of
 from suspnet.trains.pages.details import healthy_words
-from suspnet.trains.pages.maintenance_figures import health_trend
-from suspnet.trains.pages.trend import AGAIN_OF_FIRST
+from suspnet.trains.pages.trend import AGAIN_OF_FIRST, health_trend
 from suspnet.trains.trips.commissionings import (
     check_models,
     commissionings,

@@ -11,8 +11,7 @@ from trip_records import HALF_WIDTHS, OUTPUTS, curves, flagged, fleet, trend_of,
 from suspnet.ground.parameters import Cause
 from suspnet.trains.maintenance import Alarm, Life, Severity
 from suspnet.trains.pages import trend, trip_figures
-from suspnet.trains.pages.maintenance_figures import AHEAD, health_trend
-from suspnet.trains.pages.trend import LEAST_SPAN_PERCENT
+from suspnet.trains.pages.trend import AHEAD, LEAST_SPAN_PERCENT, health_trend
 
 FEW = OUTPUTS[:2]
 MISSING = "trip without an estimate"
@@ -143,20 +142,12 @@ def figures_limits(shown):
     return figure.axes[0].get_ylim()
 
 
-def test_quality_marks_trips_without_an_estimate():
-    figure = trip_figures.quality(fleet(6, missing=(2,)))
-    solid, hollow = figure.axes[0].lines
-    assert (len(solid.get_xdata()), len(hollow.get_xdata())) == (5, 1)
-    assert hollow.get_markerfacecolor() == "none"
-
-
 def whole(results):
-    """Return all four figures, that of the trend with two panels."""
+    """Return all three figures, that of the trend with two panels."""
     return (
         health_trend(trend_of(results, OUTPUTS[:2])),
         trip_figures.trip_responses(results),
         trip_figures.trip_signals(results[-1]),
-        trip_figures.quality(results),
     )
 
 
@@ -165,7 +156,6 @@ def test_trips_without_any_estimate_say_so():
     assert drawn[0] == ["no trip with an estimate and a mileage"] * 2
     assert drawn[1] == ["no trip has curves"] * 4
     assert drawn[2] == ["no signals"] * 4
-    assert drawn[3] == []
 
 
 def test_trips_without_a_mileage_are_counted():
@@ -173,7 +163,6 @@ def test_trips_without_a_mileage_are_counted():
     drawn = [texts(f) for f in whole(unplaced)]
     assert drawn[0] == ["no trip with an estimate and a mileage"] * 2
     assert drawn[1] == []
-    assert drawn[3] == ["no trip with a mileage"] * 3
     figure = health_trend(trend_of([*fleet(3, ()), unplaced[0]], OUTPUTS))
     assert figure.axes[0].get_title() == "without a mileage, not shown: 1"
 
@@ -197,7 +186,7 @@ def test_gaps_in_every_curve_can_be_drawn():
 
 
 def test_a_trip_that_failed_before_it_was_read_can_be_drawn():
-    assert len(whole([replace(failed(), mileage_km=np.nan)])) == 4
+    assert len(whole([replace(failed(), mileage_km=np.nan)])) == 3
 
 
 # intervals and flags

@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 
 import pyarrow.parquet as pq
 import pytest
-from trip_fixtures import OUTPUTS, changed, model_at, small_fleet
+from trip_fixtures import changed, model_at, small_fleet
 from trip_records import HALF_WIDTHS, flagged, trip
 
 from suspnet.estimation.trip_settings import TripSettings
@@ -228,7 +228,7 @@ def test_page_links_each_report_and_escapes_names(tmp_path):
         Evaluated("a b#?", Place(hostile, "leading", "left"), [odd], state),
         Evaluated("broken", Place("broken"), error=hostile),
     ]
-    words = write_overview(done, OUTPUTS, tmp_path)
+    words = write_overview(done, tmp_path)
     assert words.startswith("2 suspensions: 2 not judged.")
     text = (tmp_path / "overview.html").read_text()
     page = Links(text)

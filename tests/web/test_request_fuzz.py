@@ -12,7 +12,7 @@ from test_server import answer_to
 
 METHODS = (*"GET GET GET HEAD POST PUT DELETE OPTIONS TRACE PATCH".split(), "X\xff")
 PARTS = (
-    *("", "/", "plan", "state", "suspension", "acknowledge", "trend.json", "responses.json"),
+    *("", "/", "plan", "state", "suspension", "acknowledge", "trend.svg", "responses.svg"),
     *("files", "calendar.svg", "..", ".", "%2e%2e", "%2f", "%00", "%ff", "%", "%zz", "a" * 3000),
     *("\\", "//evil.example", "{{7*7}}", "<script>", "é", "\x01", ";", "*", "'", '"', "static"),
 )
@@ -44,7 +44,7 @@ def request(rng, names, cookie, token):
 
     path = "/" + "/".join(some(PARTS, 4))
     if rng.random() < 0.5:
-        ends = ("", "/acknowledge", "/trend.json", "/responses.json")
+        ends = ("", "/acknowledge", "/trend.svg", "/responses.svg")
         path = f"/suspension/{rng.choice(names)}{rng.choice(ends)}"
     query = "&".join(f"{rng.choice(NAMES)}={value}" for value in some(VALUES, 4))
     headers = [f"Host: {rng.choice(HOSTS) if rng.random() < 0.1 else '127.0.0.1'}"]

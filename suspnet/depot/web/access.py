@@ -22,13 +22,11 @@ MAX_NAME = 80  # largest length of a visitor's name, that of an acknowledgement
 class Visitor:
     """Who sent a request. `name` is empty if it is unknown.
 
-    An engineer may acknowledge alarms, a viewer may not. `has_token` is whether a program has
-    shown the token.
+    An engineer may acknowledge alarms, a viewer may not.
     """
 
     name: str = ""
     is_engineer: bool = True
-    has_token: bool = False
 
 
 @dataclass(frozen=True)
@@ -38,8 +36,8 @@ class Access:
     `user_header` is the header in which a reverse proxy names the visitor (empty: there is no
     login), `trusted_proxies` are addresses or networks of the proxies whose header is believed, and
     `engineers` names that may acknowledge with `user_header`; others are viewers. `token` is that
-    of programs (empty: none acknowledges). ValueError is raised if a value is not valid, or the
-    header is given without proxies or the reverse.
+    with which programs read in spite of a login (empty: none does). ValueError is raised if a value
+    is not valid, or the header is given without proxies or the reverse.
     """
 
     user_header: str = ""
@@ -69,23 +67,9 @@ class Access:
                 "space; make one by: openssl rand -base64 32"
             )
         try:
-            networks = [ipaddress.ip_network(address) for address in self.trusted_proxies]
+            list(map(ipaddress.ip_network, self.trusted_proxies))
         except (ValueError, TypeError) as error:
             raise ValueError(f"`trusted_proxies` holds addresses or networks: {error}") from None
-        object.__setattr__(self, "_networks", networks)
-
-    def believes(self, peer: str | None) -> bool:
-        """Return whether the header of a peer's request is believed."""
-        try:
-            address = ipaddress.ip_address(peer or "")
-        except ValueError:
-            return False
-        return any(address in network for network in vars(self)["_networks"])
-
-    def is_token(self, text: str) -> bool:
-        """Return whether this is the token, in a time that does not depend on the text."""
-        sent = text.encode("utf-8", "replace")
-        return bool(self.token) and hmac.compare_digest(self.token.encode(), sent)
 
 
 def is_plain(text: str, allowed: str = "") -> bool:
@@ -118,9 +102,10 @@ def identify_program() -> None:
     if scheme.lower() != "bearer":
         identify_visitor()
         return
-    if not current_access().is_token(token.strip()):
+    own, sent = current_access().token.encode(), token.strip().encode("utf-8", "replace")
+    if not own or not hmac.compare_digest(own, sent):  # in a time that does not depend on the text
         raise Unauthorized("This token is not accepted: send Authorization: Bearer TOKEN.")
-    g.visitor = Visitor(has_token=True)
+    g.visitor = Visitor()
 
 
 def is_admitted() -> bool:
@@ -134,7 +119,11 @@ def visitor() -> Visitor:
 
 
 def _named(access: Access) -> Visitor:
-    if not access.believes(request.remote_addr):
+    try:
+        peer = ipaddress.ip_address(request.remote_addr or "")
+    except ValueError:
+        peer = None
+    if not any(peer and peer in ipaddress.ip_network(proxy) for proxy in access.trusted_proxies):
         raise Forbidden("These pages are open through their reverse proxy only.")
     name = request.headers.get(access.user_header, "").strip()
     try:

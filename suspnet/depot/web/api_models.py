@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import (
-    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -14,8 +12,7 @@ from pydantic import (
     StringConstraints,
 )
 
-from suspnet.depot.web.access import is_plain
-from suspnet.ground.parameters import Cause
+from suspnet.ground.storage import finite_or_none
 
 MOST_ITEMS, USUAL_ITEMS = 500, 100
 """Largest number of items of one answer, and the number unless another one is asked for."""
@@ -26,51 +23,30 @@ ID = r"^[0-9a-f]{12}$"
 """Pattern of the name of a suspension in addresses."""
 
 
-def _check_text(pattern: str, rule: str) -> BeforeValidator:
-    """Return a check of the text of a number in a query, as Python takes more than JSON does."""
-
-    def check(value: Any) -> Any:
-        if isinstance(value, str) and not re.fullmatch(pattern, value, re.A):
-            raise ValueError(f"must be a {rule}")
-        return value
-
-    return BeforeValidator(check)
-
-
-def _plain(allowed: str = "") -> AfterValidator:
-    def check(value: str) -> str:
-        if not is_plain(value, allowed):
-            raise ValueError("must have no control characters" + (" but newlines" * bool(allowed)))
-        return value
-
-    return AfterValidator(check)
-
-
-_WHOLE = _check_text(r"-?\d{1,10}", "whole number")
-_Km = Annotated[
-    float,
-    Field(allow_inf_nan=False),
-    _check_text(r"-?\d+(\.\d+)?([eE][+-]?\d+)?", "number"),
-]
+Number = Annotated[float | None, BeforeValidator(finite_or_none)]
+"""A number of an answer, null where it is unknown or infinite."""
+Day = Annotated[str | None, BeforeValidator(lambda text: text or None)]
+"""A day of an answer, null where there is none."""
 
 
 class Model(BaseModel):
-    """Base of all: unknown names are errors, and docstrings are descriptions."""
+    """Base of queries: unknown names are errors, and docstrings are descriptions."""
 
-    model_config = ConfigDict(
-        extra="forbid",
-        frozen=True,
-        use_attribute_docstrings=True,
-        json_schema_serialization_defaults_required=True,
-    )
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+
+class Answer(BaseModel):
+    """Base of answers, which take their fields from rows of more columns."""
+
+    model_config = ConfigDict(frozen=True, use_attribute_docstrings=True)
 
 
 class Paged(Model):
     """Which part of a long list is asked for."""
 
-    limit: Annotated[int, Field(ge=1, le=MOST_ITEMS), _WHOLE] = USUAL_ITEMS
+    limit: Annotated[int, Field(ge=1, le=MOST_ITEMS)] = USUAL_ITEMS
     """Largest number of items."""
-    offset: Annotated[int, Field(ge=0, le=HIGHEST_OFFSET), _WHOLE] = 0
+    offset: Annotated[int, Field(ge=0, le=HIGHEST_OFFSET)] = 0
     """Number of items that are left out at the start."""
 
 
@@ -80,7 +56,7 @@ class OfFleet(Paged):
     train: str | None = None
     """Name of the train; all if it is missing."""
     severity: SeverityName | None = None
-    """Severity of the suspension, or of the alarm or work order; all if it is missing."""
+    """Severity of the suspension, of the alarm or of the part of a job; all if it is missing."""
 
 
 class OfAlarms(OfFleet):
@@ -92,16 +68,7 @@ class OfAlarms(OfFleet):
     """Whether the alarm is active; all, also cleared ones, if it is missing."""
 
 
-class OfTrips(Paged):
-    """Which trips are asked for."""
-
-    from_km: _Km | None = None
-    """Lowest mileage [km]."""
-    to_km: _Km | None = None
-    """Highest mileage [km]."""
-
-
-class FindingAnswer(Model):
+class FindingAnswer(Answer):
     """A finding, as data and as a sentence."""
 
     kind: str
@@ -111,7 +78,7 @@ class FindingAnswer(Model):
     text: str
 
 
-class PlaceAnswer(Model):
+class PlaceAnswer(Answer):
     """Where a suspension is; texts are as in the manifests, empty if not given there."""
 
     id: Annotated[str, StringConstraints(pattern=ID)]
@@ -124,14 +91,14 @@ class PlaceAnswer(Model):
     side: str
 
 
-class LifeAnswer(Model):
+class LifeAnswer(Answer):
     """Mileage until the act limit of a parameter is passed."""
 
-    life_low_km: float | None
+    life_low_km: Number
     """10 % quantile of the mileage until the act limit [km]; null: unknown, or no end in sight."""
-    life_median_km: float | None
+    life_median_km: Number
     """Median of it [km]."""
-    life_high_km: float | None
+    life_high_km: Number
     """90 % quantile of it [km]."""
 
 
@@ -150,7 +117,7 @@ class SuspensionAnswer(PlaceAnswer, LifeAnswer):
     """Number of active alarms."""
     life_parameter: str
     """Parameter that may pass its act limit first; empty if none is known."""
-    last_mileage_km: float | None
+    last_mileage_km: Number
     """Mileage of the newest trip with an estimate [km]."""
     n_trips: int
     n_estimated: int
@@ -167,7 +134,7 @@ class PartAnswer(LifeAnswer):
     findings: list[FindingAnswer]
     """`reason` as data."""
     reason: str
-    value_percent: float | None
+    value_percent: Number
     """Median of the last trips; null without an estimate."""
     notice_percent: list[float] | None
     """Lower and upper limit of a notice; null without limits."""
@@ -186,7 +153,7 @@ class AlarmAnswer(PlaceAnswer):
     active: bool
     begin_km: float
     """Mileage of the trip that raised it [km]."""
-    end_km: float | None
+    end_km: Number
     """Mileage of the trip that cleared it [km]; null while it is active."""
     findings: list[FindingAnswer]
     """`reason` as data."""
@@ -198,13 +165,13 @@ class AlarmAnswer(PlaceAnswer):
     """What that person is doing about it."""
 
 
-class TripAnswer(Model):
+class TripAnswer(Answer):
     """A trip and its estimate."""
 
     trip: str
     start: str
     """ISO 8601; empty if unknown."""
-    mileage_km: float | None
+    mileage_km: Number
     status: str
     """ok, no estimate, or error."""
     findings: list[FindingAnswer]
@@ -219,11 +186,11 @@ class TripAnswer(Model):
     """An interval is from estimate * exp(-half width) to estimate * exp(half width)."""
     worn: str
     """Which parts have worn, with odds."""
-    speed_m_per_s: float | None
-    temperature_c: float | None
+    speed_m_per_s: Number
+    temperature_c: Number
 
 
-class JobAnswer(Model):
+class JobAnswer(Answer):
     """Work on one part at a visit, or why a part has none."""
 
     train: str
@@ -237,16 +204,16 @@ class JobAnswer(Model):
     severity: SeverityName
     unknown: str
     """Why its remaining life is unknown; empty if it is known."""
-    day: str | None
+    day: Day
     """Latest day of the visit; null without one."""
-    decide_by: str | None
-    mileage_km: float | None
+    decide_by: Day
+    mileage_km: Number
     """Mileage of the train at the visit [km]."""
-    probability: float | None
+    probability: Number
     """Probability that the act limit is passed before the visit."""
 
 
-class Listed(Model, Generic[Item]):
+class Listed(Answer, Generic[Item]):
     """Some items of a list, and how new they are."""
 
     read_at: str
@@ -262,38 +229,7 @@ class Listed(Model, Generic[Item]):
     items: list[Item]
 
 
-class AcknowledgementRequest(Model):
-    """An acknowledgement of an alarm as the person saw it."""
-
-    parameter: Annotated[str, StringConstraints(min_length=1, max_length=200)]
-    cause: Cause
-    severity: SeverityName
-    """Severity that the person saw; an alarm that is worse by now is not acknowledged."""
-    by: Annotated[
-        str,
-        StringConstraints(min_length=1, max_length=80, pattern=r"\S"),
-        _plain(),
-    ]
-    """Name of the person."""
-    words: Annotated[str, StringConstraints(max_length=500), _plain("\n\t")] = ""
-    """What the person is doing about it."""
-
-
-class AcknowledgementAnswer(Model):
-    """What was stored."""
-
-    parameter: str
-    cause: str
-    severity: SeverityName
-    at_km: float
-    """Mileage of the newest trip [km]."""
-    by: str
-    at: str
-    """ISO 8601 with its zone."""
-    words: str
-
-
-class Problem(Model):
+class Problem(Answer):
     """Why a request was not answered."""
 
     status: int

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import functools
-import gzip
-import hashlib
 import ipaddress
 import logging
 import secrets
@@ -13,7 +11,6 @@ import socket
 from collections.abc import Sequence
 from contextlib import suppress
 from importlib import resources
-from importlib.metadata import version
 from typing import Any
 
 from flask import Blueprint, Flask, Response, abort, request
@@ -28,27 +25,24 @@ from suspnet import __version__
 from suspnet.depot.web.access import ACCESS, Access, is_admitted
 from suspnet.depot.web.api import ROOT, api, http_problem, problem
 from suspnet.depot.web.health import health
-from suspnet.depot.web.pages import WITH_PLOTS, message_page, pages
-from suspnet.depot.web.service import SERVICE, FleetService
+from suspnet.depot.web.pages import message_page, pages
+from suspnet.depot.web.service import SERVICE
 from suspnet.runs.language import N_, best_of, check_language, choose, gettext, spoken
 from suspnet.trains.history import HistoryError
 from suspnet.trains.pages.board import Refresher, clock
-from suspnet.trains.pages.templates import OPTIONS, equip, packaged
+from suspnet.trains.pages.templates import OPTIONS, PACKAGE, equip, packaged
 
 MESSAGES = {
     400: N_("The form or the address could not be understood."),
     404: N_("There is no such page."),
     405: N_("This page cannot be asked for in this way."),
     413: N_("The form is too long."),
-    503: N_("Another work order is being drawn; try again in a few seconds."),
 }
 
 FILES = {
-    "style.css": ("text/css", ("suspnet.trains.pages:style.css", "suspnet.depot.web:page.css")),
-    "live.js": ("text/javascript", ("suspnet.depot.web:live.js",)),
-    "plots.js": ("text/javascript", ("suspnet.depot.web:plots.js",)),
-    "icon.svg": ("image/svg+xml", ("suspnet.depot.web:icon.svg",)),
-    "plotly.js": ("text/javascript", ("plotly:package_data/plotly.min.js",)),
+    "style.css": ("text/css", ((PACKAGE, "style.css"), ("suspnet.depot.web", "page.css"))),
+    "live.js": ("text/javascript", (("suspnet.depot.web", "live.js"),)),
+    "icon.svg": ("image/svg+xml", (("suspnet.depot.web", "icon.svg"),)),
 }
 """MIME type and sources of each file."""
 assets = Blueprint("assets", __name__, url_prefix="/files")
@@ -74,7 +68,6 @@ def create_app(
     equip(app.jinja_env)
     app.jinja_env.filters["clock"] = clock
     app.jinja_env.globals |= {
-        "file_digest": file_digest,
         "is_admitted": is_admitted,
         "ask_every_s": ask_every_s,
         "product": f"suspnet {__version__}",
@@ -82,11 +75,11 @@ def create_app(
     app.before_request(functools.partial(_choose_language, language))
     protected = protect(app, hosts)
     # the blueprints find fleet and rights among the extensions
-    app.extensions[SERVICE] = FleetService(refresher)
+    app.extensions[SERVICE] = refresher
     app.extensions[ACCESS] = access or Access()
     app.register_blueprint(pages)
     app.register_blueprint(api)
-    protected.exempt(api)  # its writers show a token, which no browser sends by itself
+    protected.exempt(api)  # it writes nothing, and refuses in JSON
     app.register_blueprint(assets)
     app.register_blueprint(health)
     app.register_error_handler(CSRFError, _form_error)
@@ -126,48 +119,26 @@ def _http_error(error: HTTPException) -> Any:
     is_own = code == 403 or (code == 404 and request.path.startswith("/suspension/"))
     own = error.description if is_own else None
     other = N_("Something went wrong; see the program's terminal.")
-    headers = {"Retry-After": "5"} if code == 503 else {}
     words = own or gettext(MESSAGES.get(code, other))
-    return message_page(gettext(error.name), words), code, headers
+    return message_page(gettext(error.name), words), code
 
 
 def _is_api() -> bool:
     return request.path.startswith(f"{ROOT}/")
 
 
-@assets.get("/<digest>/<name>")
-def file(digest: str, name: str) -> Response:
-    """Return a file, compressed if the browser accepts that."""
-    if name not in FILES or digest != file_digest(name):
+@assets.get("/<name>")
+def file(name: str) -> Response:
+    """Return a file, which a browser keeps as long as its content stays the same."""
+    if name not in FILES:
         abort(404)
-    is_packed = request.accept_encodings.quality("gzip") > 0
-    response = Response(_packed(name) if is_packed else _content(name), mimetype=FILES[name][0])
-    response.headers["Cache-Control"] = "public, max-age=31536000, immutable"
-    response.headers["Vary"] = "Accept-Encoding"
-    if is_packed:
-        response.headers["Content-Encoding"] = "gzip"
+    kind, sources = FILES[name]
+    files = (resources.files(package).joinpath(path) for package, path in sources)
+    response = Response(b"\n".join(file.read_bytes() for file in files), mimetype=kind)
+    response.headers["Cache-Control"] = "no-cache"
+    response.add_etag()
+    response.make_conditional(request)
     return response
-
-
-@functools.cache
-def file_digest(name: str) -> str:
-    """Return the part of a file's address that changes with its content."""
-    if name == "plotly.js":  # plotly has five megabytes: not read at each start
-        return version("plotly")
-    return hashlib.sha256(_content(name)).hexdigest()[:12]
-
-
-@functools.cache
-def _content(name: str) -> bytes:
-    sources = (source.split(":") for source in FILES[name][1])
-    return b"\n".join(
-        resources.files(package).joinpath(path).read_bytes() for package, path in sources
-    )
-
-
-@functools.cache
-def _packed(name: str) -> bytes:
-    return gzip.compress(_content(name), 6, mtime=0)
 
 
 MAX_FORM_BYTES = 16_384
@@ -236,8 +207,6 @@ SCRIPTS_AND_STYLES = (
     "default-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'; "
     "object-src 'none'"
 )
-STYLES_OF_PLOTS = "; style-src 'self' 'unsafe-inline'"
-"""Plotly sets inline styles of its elements; no page needs inline scripts."""
 HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
@@ -280,7 +249,6 @@ def protect(app: Flask, hosts: Sequence[str]) -> CSRFProtect:
 def _with_headers(response: Response) -> Response:
     for name, value in HEADERS.items():
         response.headers.setdefault(name, value)
-    styles = STYLES_OF_PLOTS if request.environ.get(WITH_PLOTS) else ""
-    response.headers["Content-Security-Policy"] = SCRIPTS_AND_STYLES + styles
+    response.headers["Content-Security-Policy"] = SCRIPTS_AND_STYLES
     response.headers.setdefault("Cache-Control", "no-store")
     return response

@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterable
 from typing import Any
 
 from flask import Blueprint, Response
 
 from suspnet.depot.web.access import is_admitted
-from suspnet.depot.web.service import current_service
-from suspnet.ground.extras import import_extra
+from suspnet.depot.web.service import current_refresher, opened_store
 from suspnet.trains.history import HistoryError
 
 health = Blueprint("health", __name__)
@@ -26,7 +24,7 @@ def healthz() -> tuple[dict[str, Any], int]:
 
     The reason, which names the store, is left out where a login is configured.
     """
-    refresher = current_service().refresher
+    refresher = current_refresher()
     fault, read_at = refresher.fault, refresher.read_at.isoformat(timespec="seconds")
     reason = fault if is_admitted() else ""
     content = {"status": "failing" if fault else "ok", "fault": reason, "read_at": read_at}
@@ -36,53 +34,29 @@ def healthz() -> tuple[dict[str, Any], int]:
 @health.get("/metrics")
 def metrics() -> Response:
     """Return the state of fleet and store in the text format of Prometheus."""
+    refresher = current_refresher()
+    view = refresher.board.view
+    values: dict[str, float] = {
+        "suspnet_up": 0 if refresher.fault else 1,
+        "suspnet_store_read_timestamp_seconds": refresher.read_at.timestamp(),
+        "suspnet_bad_rows": len(view.bad_rows),
+    }
+    values |= Counter(f'suspnet_suspensions{{severity="{s.severity}"}}' for s in view.states)
+    values |= Counter(
+        f'suspnet_active_alarms{{severity="{alarm.severity}",cause="{alarm.cause}"}}'
+        for state in view.states
+        for alarm in state.alarms
+    )
     try:
-        prometheus = import_extra("prometheus_client", "live", "a page of metrics")
-    except ValueError as error:
-        return Response(f"{error}\n", 501, mimetype="text/plain")
-    registry = prometheus.CollectorRegistry()
-    registry.register(_FleetMetrics())
-    return Response(prometheus.generate_latest(registry), mimetype="text/plain; version=0.0.4")
-
-
-class _FleetMetrics:
-    """Collector of the numbers of one answer."""
-
-    def collect(self) -> Iterable[Any]:
-        from prometheus_client.core import GaugeMetricFamily as Gauge
-
-        service = current_service()
-        refresher, view = service.refresher, service.view
-        read_s = refresher.read_at.timestamp()
-        is_up = 0 if refresher.fault else 1
-        yield Gauge("suspnet_up", "Whether the pages follow the store", is_up)
-        yield Gauge("suspnet_store_read_timestamp_seconds", "Last reading", read_s)
-        yield Gauge("suspnet_bad_rows", "Rows left out", len(view.bad_rows))
-        severities = Counter((str(state.severity),) for state in view.states)
-        yield _by("suspnet_suspensions", "Suspensions by severity", ["severity"], severities)
-        active = Counter(
-            (str(alarm.severity), str(alarm.cause))
-            for state in view.states
-            for alarm in state.alarms
-            if alarm.is_open
-        )
-        yield _by("suspnet_active_alarms", "Active alarms", ["severity", "cause"], active)
-        try:
-            with service.opened() as store:
-                n_waiting, n_given_up, oldest_s = store.outbox().count_unsent()
-        except HistoryError:  # suspnet_up reports it
-            return
-        states = {("waiting",): n_waiting, ("given_up",): n_given_up}
-        yield _by("suspnet_unsent_messages", "Messages about alarms", ["state"], states)
+        with opened_store() as store:
+            n_waiting, n_given_up, oldest_s = store.outbox().count_unsent()
         age_s = 0.0 if oldest_s is None else max(time.time() - oldest_s, 0.0)
-        yield Gauge("suspnet_oldest_unsent_seconds", "Age of the oldest one", age_s)
-
-
-def _by(name: str, description: str, labels: list[str], counts: Any) -> Any:
-    """Return a metric with a value for each tuple of labels."""
-    from prometheus_client.core import GaugeMetricFamily
-
-    metric = GaugeMetricFamily(name, description, labels=labels)
-    for values, n in sorted(counts.items()):
-        metric.add_metric(list(values), n)
-    return metric
+        values |= {
+            'suspnet_unsent_messages{state="waiting"}': n_waiting,
+            'suspnet_unsent_messages{state="given_up"}': n_given_up,
+            "suspnet_oldest_unsent_seconds": age_s,
+        }
+    except HistoryError:  # suspnet_up reports it
+        pass
+    text = "".join(f"{name} {value!r}\n" for name, value in values.items())
+    return Response(text, mimetype="text/plain; version=0.0.4")

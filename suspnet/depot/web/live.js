@@ -24,10 +24,6 @@ async function replace() {
     const same = twin(fresh, one);
     if (same) same.open = one.open;
   }
-  for (const one of old.querySelectorAll(".plot[id]")) { // plots keep their zoom
-    const same = twin(fresh, one);
-    if (same) same.replaceWith(one);
-  }
   fresh.prepend(...old.querySelectorAll(".said")); // the server sends a message once; it stays until the page is left
   const focused = old.contains(document.activeElement) ? document.activeElement : null;
   const places = [...old.querySelectorAll(".scroll")].map((one) => one.scrollLeft);
@@ -35,7 +31,6 @@ async function replace() {
   old.replaceWith(document.adoptNode(fresh));
   document.title = page.title;
   fresh.querySelectorAll(".scroll").forEach((one, i) => { one.scrollLeft = places[i] || 0; });
-  document.dispatchEvent(new Event("replaced"));
   const same = focused && (focused === old ? fresh : twin(fresh, focused));
   if (same) same.focus({ preventScroll: true });
   window.scrollTo({ top: height, behavior: "instant" });

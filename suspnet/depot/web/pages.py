@@ -5,9 +5,10 @@ from __future__ import annotations
 import functools
 import hashlib
 import threading
-from importlib.util import find_spec
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
+import numpy as np
 from flask import (
     Blueprint,
     Response,
@@ -21,45 +22,84 @@ from flask import (
 )
 from flask.typing import ResponseReturnValue
 from flask_wtf import FlaskForm
+from matplotlib.figure import Figure
 from wtforms import HiddenField, StringField
 from wtforms.validators import DataRequired, Length, ValidationError
 
-from suspnet.depot.web import page_values
 from suspnet.depot.web.access import MAX_NAME, identify_visitor, is_plain, visitor
-from suspnet.depot.web.figures import response_figure, trend_figure
-from suspnet.depot.web.page_values import Choice
-from suspnet.depot.web.service import current_service
-from suspnet.ground.parameters import Severity
+from suspnet.depot.web.service import current_refresher, opened_store, stored_trips
+from suspnet.ground.findings import of
+from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, NAMES, PARAMETERS, Severity
+from suspnet.ground.records import INTERVAL_LEVEL, outputs_of
+from suspnet.ground.wording import natural
 from suspnet.runs.figures import as_svg
-from suspnet.runs.language import N_, current, day, gettext, spoken
+from suspnet.runs.language import N_, current, gettext, spoken
 from suspnet.trains.history import HistoryError
-from suspnet.trains.maintenance.alarms import Alarm
-from suspnet.trains.maintenance.plan import Plan
+from suspnet.trains.history.store import acknowledge_alarms
+from suspnet.trains.maintenance.alarms import Alarm, newest_of
+from suspnet.trains.maintenance.plan import Plan, joined, place_of
 from suspnet.trains.maintenance.state import State
-from suspnet.trains.pages.bogie import visits_of
+from suspnet.trains.pages.bogie import (
+    bogie_of,
+    bogies_shown,
+    small_figures,
+    visits_of,
+    why_no_part,
+)
 from suspnet.trains.pages.maintenance_figures import plan_calendar
-from suspnet.trains.pages.overview import FleetView
-from suspnet.trains.pages.pdf import as_pdf
-from suspnet.trains.pages.tables import response
-from suspnet.trains.pages.templates import MARKS, render
-from suspnet.trains.pages.trend import trend_of_state
-from suspnet.trains.pages.work_order import work_orders
+from suspnet.trains.pages.overview import FleetView, finding
+from suspnet.trains.pages.tables import files_read_as, sensor_rows, trip_table
+from suspnet.trains.pages.templates import MARKS
+from suspnet.trains.pages.trend import health_trend, small_trends, trend_of_state
+from suspnet.trains.pages.trip_figures import response_figure
 
-WITH_PLOTS = "suspnet.plots"  # key in a request's environment that marks a page with plots
-HAS_PDF = find_spec("weasyprint") is not None
+MAX_ROWS = 50  # largest number of rows of a table of the fleet; fewer are chosen by train and state
+N_TRIPS = 20  # number of the newest trips in the table of a suspension
+OUTPUTS = tuple(name for name in PARAMETERS if name != BODY_MASS)
+SHORT = {"leading": "lead.", "trailing": "trail."}  # short words of a place, for a tile
 
 pages = Blueprint("pages", __name__)
 pages.before_request(identify_visitor)
-_drawing, _drawing_calendar = threading.Lock(), threading.Lock()
+_drawing = threading.Lock()
+
+
+class Choice(NamedTuple):
+    """Which suspensions are shown; an empty `train` or `severity` chooses all."""
+
+    train: str = ""
+    severity: str = ""
+
+    def holds(self, state: State) -> bool:
+        """Return whether a suspension is chosen."""
+        is_of_train = self.train in ("", state.series.place.train)
+        return is_of_train and self.severity in ("", str(state.severity))
 
 
 @pages.get("/")
 def fleet() -> ResponseReturnValue:
     """Return the page of the fleet."""
     view, choice = _view(), _choice()
-    all_rows = request.args.get("rows") == "all"
-    values = page_values.fleet_values(view, choice, all_rows, _address)
-    page = _page("fleet_page.html", _fleet_version(view), **values)
+    chosen = [i for i, state in enumerate(view.states) if choice.holds(state)]
+    alarms = _active_alarms(view, chosen)
+    of_train = Choice(choice.train)
+    severities = [state.severity for state in view.states if of_train.holds(state)]
+    entries = view.entries
+    page = _page(
+        "fleet_page.html",
+        _digest(view.at, view.version),
+        finding=finding([view.rows[i] for i in chosen]),
+        choice=choice,
+        counts={str(level): severities.count(level) for level in sorted(Severity, reverse=True)},
+        trains=_tiles_of_trains(view, chosen),
+        alarms=alarms[:MAX_ROWS],
+        n_alarms=len(alarms),
+        rows=[view.rows[i] | {"address": _address(view.names[i])} for i in chosen[:MAX_ROWS]],
+        n_rows=len(chosen),
+        parameters=OUTPUTS,
+        plan=view.plan,
+        address=_address,
+        **bogies_shown([entries[i] for i in chosen], view.plan),
+    )
     return page, 503 if view.trouble and not view.states else 200
 
 
@@ -67,14 +107,18 @@ def fleet() -> ResponseReturnValue:
 def plan() -> ResponseReturnValue:
     """Return the page of the plan."""
     view, choice = _view(), _choice()
-    return _page(
-        "plan_page.html",
-        _fleet_version(view),
-        plan=view.plan,
-        choice=choice,
-        train_names=page_values.train_names(view),
-        jobs=page_values.jobs_of(view, choice, _address),
-    )
+    names = {
+        place_of(state): name
+        for name, state in zip(view.names, view.states, strict=True)
+        if choice.holds(state)
+    }
+    jobs = [
+        job | {"address": _address(names[place])}
+        for job in joined(view.plan.rows() if view.plan else [])
+        if (place := (job["train"], job["car"], job["suspension"])) in names
+    ]
+    version = _digest(view.at, view.version)
+    return _page("plan_page.html", version, plan=view.plan, choice=choice, jobs=jobs)
 
 
 @pages.get("/plan/calendar.svg")
@@ -83,14 +127,50 @@ def calendar() -> ResponseReturnValue:
     plan = _view().plan
     if plan is None:
         abort(404)
-    with _drawing_calendar:  # around the cache: of those that wait, only the first one draws
-        return Response(_calendar(plan, current()), mimetype="image/svg+xml")
+    return _svg(_calendar, plan)
+
+
+@pages.get("/suspension/<name>/trend.svg")
+def trend(name: str) -> ResponseReturnValue:
+    """Return the figure of the parameters along the mileage, or `of` one of them."""
+    state, part = _state(name), request.args.get("of", "")
+    if part and part not in _figured(state):
+        abort(404)
+    return _svg(_trend, state, part)
+
+
+@pages.get("/suspension/<name>/responses.svg")
+def responses(name: str) -> ResponseReturnValue:
+    """Return the figure of the frequency responses."""
+    with opened_store() as store:
+        stored = store.responses(*_state(name).key)
+    if not stored:
+        abort(404)
+    shown = [(curves.mileage_km, curves) for curves in stored]
+    return _svg(lambda _: as_svg(response_figure(shown)))
+
+
+def _svg(draw: Callable[..., bytes], *values: Any) -> Response:
+    """Return a figure; one is drawn at a time, as those that wait may find theirs drawn by then."""
+    with _drawing:
+        return Response(draw(*values, current()), mimetype="image/svg+xml")
 
 
 @functools.lru_cache(maxsize=4)
 def _calendar(plan: Plan, language: str) -> bytes:
     """Return the calendar in the current `language`, an argument for the cache alone."""
     return as_svg(plan_calendar(plan))
+
+
+@functools.lru_cache(maxsize=64)
+def _trend(state: State, part: str, language: str) -> bytes:
+    """Return the trend of all parameters or one part; `language` is for the cache alone."""
+    return as_svg(_small_trends(state)[part] if part else health_trend(trend_of_state(state)))
+
+
+@functools.lru_cache(maxsize=4)
+def _small_trends(state: State) -> dict[str, Figure]:
+    return small_trends(trend_of_state(state))
 
 
 @pages.get("/suspension/<name>")
@@ -118,7 +198,10 @@ def acknowledge(name: str) -> ResponseReturnValue:
         )
         return redirect(_address(name))
     by, action = form.by.data.strip(), (form.words.data or "").strip()
-    current_service().acknowledge(state, chosen, by, action)
+    newest_km = float(np.nanmax(state.series.mileage_km))
+    with opened_store(to_write=True) as store:
+        acknowledge_alarms(store, *state.key, chosen, newest_km, by, action)
+    current_refresher().soon()
     session["by"] = by
     alarms = ", ".join(f"{alarm.parameter} ({gettext(str(alarm.cause))})" for alarm in chosen)
     words = gettext("Acknowledged by %(name)s: %(alarms)s.")
@@ -126,107 +209,68 @@ def acknowledge(name: str) -> ResponseReturnValue:
     return redirect(_address(name))
 
 
-@pages.get("/suspension/<name>/work-order")
-def work_order(name: str) -> ResponseReturnValue:
-    """Return the work orders of a suspension as a page to print."""
-    version = _suspension_version(_view(), name)
-    values = _orders(name) | {"of": name, "name": name, "has_pdf": HAS_PDF}
-    return _page("work_order_page.html", version, **values)
-
-
-@pages.get("/suspension/<name>/work-order.pdf")
-def work_order_pdf(name: str) -> ResponseReturnValue:
-    """Return the work orders of a suspension as PDF."""
-    if not HAS_PDF:
-        abort(
-            404,
-            gettext("Work orders as PDF need WeasyPrint where suspnet-serve runs: the extra pdf."),
-        )
-    page = render("work_order_print.html", **_orders(name))
-    if not _drawing.acquire(blocking=False):  # it takes seconds, and requests must not queue up
-        abort(503)
-    try:
-        return Response(as_pdf(page), mimetype="application/pdf")
-    finally:
-        _drawing.release()
-
-
-def _orders(name: str) -> dict[str, Any]:
-    """Return the values that both pages of work orders show."""
-    _state(name)
-    view, read_at = _view(), current_service().refresher.read_at.astimezone()
-    index = view.keys[name]
-    # with the day: for paper
-    read_day = day(f"{read_at:%Y-%m-%d %H:%M}")
-    return {"row": view.rows[index], "orders": work_orders(view, index), "read_at": read_day}
-
-
-@pages.get("/suspension/<name>/trend.json")
-def trend(name: str) -> ResponseReturnValue:
-    """Return the figure of the parameters along the mileage, or `of` one of them."""
-    trend, of = trend_of_state(_state(name)), request.args.get("of", "")
-    if of and of not in [panel.name for panel in trend.panels]:
-        abort(404)
-    return trend_figure(trend, name, of)
-
-
-@pages.get("/suspension/<name>/responses.json")
-def responses(name: str) -> ResponseReturnValue:
-    """Return the figure of the frequency responses."""
-    with current_service().opened() as store:
-        stored = store.responses(*_state(name).key)
-    if not stored:
-        abort(404)
-    shown = [response(curves.trip, curves.mileage_km, curves) for curves in stored]
-    return response_figure(shown, name)
-
-
 @pages.get("/state")
 def state() -> ResponseReturnValue:
     """Return the version of a page's state and when it was read; cheap, as pages poll it."""
     view, name = _view(), request.args.get("of", "")
-    version = _suspension_version(view, name) if name else _fleet_version(view)
-    return {"version": version, "words": spoken(current_service().refresher.words)}
+    version = _suspension_version(view, name) if name else _digest(view.at, view.version)
+    return {"version": version, "words": spoken(current_refresher().words)}
 
 
 def _suspension_page(name: str, form: AcknowledgementForm) -> str:
-    view, state, service = _view(), _state(name), current_service()
-    request.environ[WITH_PLOTS] = True
+    view, state = _view(), _state(name)
+    index, version = view.keys[name], _suspension_version(view, name)
     results, stored, trouble = [], [], ""
     seen, bad_rows = view.acknowledged.get(state.key, ()), []
     try:
-        with service.opened() as store:
+        with opened_store() as store:
             bad_rows = store.bad_rows
-            results, seen = service.trips(store, state), store.acknowledgements(*state.key)
+            results, seen = stored_trips(store, state), store.acknowledgements(*state.key)
             stored = store.responses(*state.key)  # last: damaged curves must not hide the trips
     except HistoryError as error:
         trouble = str(error)
-    index = view.keys[name]
-    shown = page_values.suspension_values(
-        view, index, results, stored, seen, lambda of: url_for("pages.trend", name=name, of=of)
-    )
     bad_rows = [*(row for row in view.bad_rows if row.key == state.key), *bad_rows]
-    car = next((indices for indices in view.cars if index in indices), [])
+    cleared = [alarm for alarm in reversed(state.watched.alarms) if not alarm.is_open]
+    newest = list(reversed(results[-N_TRIPS:]))
+    mileages = state.series.mileage_km[np.isfinite(state.series.mileage_km)]
+    # a figure of each part where parts are read; else of those with a finding, and one of all
+    figure = functools.partial(
+        url_for, "pages.trend", name=name, version=version, language=current()
+    )
     return _page(
         "suspension_page.html",
-        "" if form.errors else _suspension_version(view, name),  # a filled form is never replaced
+        "" if form.errors else version,  # a filled form is never replaced
         of=name,
         name=name,
         form=form,
         visitor=visitor(),
-        has_work=bool(work_orders(view, index)),
         trouble=trouble,
         bad_rows=list(dict.fromkeys(bad_rows)),
-        kinds=page_values.OUTPUTS,
-        sisters=[page_values.rows_of(view, car, _address)] if car else [],
-        **shown,
+        state=state,
+        parameters=[name for name in state.outputs if name != BODY_MASS],
+        row=view.rows[index],
+        bogie=bogie_of(state, view.plan),
+        no_part=why_no_part(results, state.outputs),
+        small=small_figures(state, {part: figure(of=part) for part in _figured(state)}),
+        trend=figure(),
+        names=NAMES,
+        alarms=[(alarm, newest_of(alarm, seen)) for alarm in state.alarms],
+        cleared=[(alarm, newest_of(alarm, seen)) for alarm in cleared],
+        trips=trip_table(newest, outputs_of(newest), INTERVAL_LEVEL),
+        read_as=files_read_as(newest),
+        first_km=float(mileages.min()) if len(mileages) else np.nan,
+        newest_km=float(mileages.max()) if len(mileages) else np.nan,
+        sensors=sensor_rows(state.series),
+        responses=bool(stored),
     )
 
 
 def _page(template: str, version: str, of: str = "", **values: Any) -> str:
     """Return a page; the browser replaces it when `version` changes, never if it is empty."""
-    shared = {"view": _view(), "refresher": current_service().refresher}
-    return render_template(template, version=version, of=of, **shared, **values)
+    view = _view()
+    trains = sorted({state.series.place.train for state in view.states} - {""}, key=natural)
+    values |= {"view": view, "refresher": current_refresher(), "train_names": trains}
+    return render_template(template, version=version, of=of, **values)
 
 
 def message_page(title: str, words: str) -> str:
@@ -235,7 +279,7 @@ def message_page(title: str, words: str) -> str:
 
 
 def _view() -> FleetView:
-    return current_service().view
+    return current_refresher().board.view
 
 
 def _state(name: str) -> State:
@@ -244,6 +288,13 @@ def _state(name: str) -> State:
     if name not in view.keys:
         abort(404, gettext("There is no such suspension in this history."))
     return view.states[view.keys[name]]
+
+
+def _figured(state: State) -> list[str]:
+    """Return the parameters with a figure of their own: those of ``small_trends``."""
+    names = [name for name in state.outputs if name != BODY_MASS]
+    has_parts = bool(set(names) & set(BOGIE_PARTS))
+    return [name for name in names if has_parts or state.severities[name] > Severity.NONE]
 
 
 def _choice() -> Choice:
@@ -256,8 +307,47 @@ def _address(name: str) -> str:
     return url_for("pages.suspension", name=name)
 
 
-def _fleet_version(view: FleetView) -> str:
-    return _digest(view.at, view.version)
+def _active_alarms(view: FleetView, chosen: Sequence[int]) -> list[dict[str, Any]]:
+    """Return the active alarms, the worst first, those not yet acknowledged before others."""
+    alarms = [
+        {
+            "name": view.names[i],
+            "state": view.states[i],
+            "alarm": alarm,
+            "seen": newest_of(alarm, view.acknowledged.get(view.states[i].key, ())),
+        }
+        for i in chosen
+        for alarm in view.states[i].alarms
+    ]
+    return sorted(alarms, key=lambda row: (-row["alarm"].severity, row["seen"] is not None))
+
+
+def _tiles_of_trains(
+    view: FleetView, chosen: Sequence[int]
+) -> dict[str, dict[str, list[dict[str, str]]]]:
+    """Return the tiles of the chosen suspensions by train and car, in natural order of names.
+
+    A tile has the name in URLs, the severity, a short text and the reason.
+    """
+
+    def order(index: int) -> tuple[Any, ...]:
+        place = view.states[index].series.place
+        texts = (place.train, place.car, place.suspension, place.bogie, place.side)
+        return (*map(natural, texts), view.states[index].series.vehicle)
+
+    is_named = len({state.series.place.suspension for state in view.states}) > 1
+    trains: dict[str, dict[str, list[dict[str, str]]]] = {}
+    for index in sorted(chosen, key=order):
+        series, row = view.states[index].series, view.rows[index]
+        place = series.place
+        texts = [place.suspension] if is_named or not (place.bogie or place.side) else []
+        where = " ".join(SHORT.get(text, text) for text in (place.bogie, place.side) if text)
+        words = " ".join(filter(None, (*texts, spoken(where)))) or series.vehicle
+        reason = of(row["parameter"], row["reason"]) if row["parameter"] else row["reason"]
+        tile = {"name": view.names[index], "severity": row["severity"]}
+        tiles = trains.setdefault(place.train, {}).setdefault(place.car, [])
+        tiles.append(tile | {"words": words, "reason": reason})
+    return trains
 
 
 def _suspension_version(view: FleetView, name: str) -> str:
@@ -275,7 +365,7 @@ def _suspension_version(view: FleetView, name: str) -> str:
 
 
 def _digest(*values: Any) -> str:
-    values = (*values, current_service().refresher.fault)
+    values = (*values, current_refresher().fault)
     return hashlib.sha256(repr(values).encode()).hexdigest()[:16]
 
 

@@ -154,7 +154,7 @@ def evaluate_fleet(
         reasons = together(of(one.name, one.error) for one in done)
         raise ValueError(at(folder, "no-suspension-read", n_done=len(done), reasons=reasons))
     done.sort(key=lambda one: (-one.severity, one.name))
-    log.info("%s\n-> %s", write_overview(done, models[0].outputs, output), output)
+    log.info("%s\n-> %s", write_overview(done, output), output)
     return done
 
 

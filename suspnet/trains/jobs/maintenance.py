@@ -39,7 +39,7 @@ def write_maintenance(history: History, folder: Path, settings: BoardSettings) -
     history.keep_all_alarms({state.key: state.watched.alarms for state in states})
     acknowledged = history.all_acknowledgements()
     planned = plan_of(states, settings.plan, settings.day())
-    view = fleet_view(states, own, acknowledged, planned)
+    view = fleet_view(states, acknowledged, planned)
     write_fleet(view, planned, plan_calendar(planned), folder)
     log.info("%s\n\n%s\n-> %s", overview_table(view.rows), planned.summary, folder)
     return states

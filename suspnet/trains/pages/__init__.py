@@ -1,1 +1,1 @@
-"""What people read: reports, overviews, the pages of check and commissioning, work orders."""
+"""What people read: reports, overviews, the pages of check and commissioning."""

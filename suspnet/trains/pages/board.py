@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, date, datetime
 from pathlib import Path
@@ -22,10 +21,9 @@ from suspnet.trains.maintenance.state import FleetStates, State, by_urgency
 from suspnet.trains.pages.overview import FleetView, fleet_view
 
 log = logging.getLogger(__name__)
-SHOWN_S = 5.0  # a refresh that takes longer shows a partial result at this interval
 LOOK_S = 1.0  # timeout for a lock of the store by other programs
 READ_AT_ONCE = 100  # suspensions that are read in one transaction
-AT_ONCE = 50  # suspensions updated between two checks of the elapsed time
+AT_ONCE = 50  # new suspensions above which a refresh shows them before it is complete
 
 
 @dataclass(frozen=True)
@@ -67,8 +65,8 @@ class Board:
     """The current state of a fleet, updated from a history.
 
     Only suspensions whose revision in the store changed are read and recomputed. A long refresh
-    shows partial results every ``SHOWN_S``: first the suspensions with the alarms in the store.
-    Nothing is written: alarms are stored by the evaluation of the trips.
+    first shows new suspensions with the alarms in the store. Nothing is written: alarms are stored
+    by the evaluation of the trips.
 
     `store` is the file or URL of the history; a file may be created later.
     """
@@ -80,13 +78,11 @@ class Board:
         self._fleet = FleetStates(self._limits, settings.changes, settings.seed)
         self._view = FleetView()
         self._revisions: dict[Key, int] = {}
-        self._early: dict[Key, State] = {}
         self._plan: Plan | None = None
         self._day = settings.day()
         self._is_due = True
         self._file: tuple[int, int] | None = None
         self._is_doubted = False
-        self._shown_at = 0.0
         self._lock = threading.Lock()
 
     @property
@@ -127,12 +123,10 @@ class Board:
             self._read(history, revisions, changed)
         self._file, self._is_doubted = file, False
         if self._is_due:
-            while not self._fleet.predict(SHOWN_S):
-                self._show(history, is_complete=False)
+            self._fleet.predict()
             self._plan = plan_of(self._fleet.states(), self.settings.plan, day)
             self._show(history, is_complete=True)
             self._day, self._is_due = day, False
-            self._early.clear()
         elif (
             self._view.trouble
             or history.all_acknowledgements() != self._view.acknowledged
@@ -152,41 +146,32 @@ class Board:
                 self._limits[vehicle] = self.settings.limits_of(vehicle)
             except ValueError as error:  # of a vehicle that is not in the settings
                 raise HistoryError(f"{history}: vehicle {vehicle}: {error}") from None
-        # new suspensions are shown at once, with the alarms in the store
         new = [own for own in series if own.key not in self._revisions]
-        if new or self._view.bad_rows:
-            alarms = history.all_alarms()
-            self._early |= {
-                own.key: State(own, self._limits[own.vehicle], Watched(alarms.get(own.key, [])))
-                for own in new
-            }
+        # read also for few: rows of alarms that cannot be read are shown
+        alarms = history.all_alarms() if new or self._view.bad_rows else {}
         if len(new) > AT_ONCE:
-            self._show(history, is_complete=False)
+            early = [
+                State(own, self._limits[own.vehicle], Watched(alarms.get(own.key, [])))
+                for own in new
+            ]
+            self._show(history, early, is_complete=False)
         gone = self._fleet.keys() - revisions.keys()
         gone |= set(changed) - {own.key for own in series}
-        self._is_due |= bool(gone)
-        self._fleet.update([], gone)
-        # recompute the others in parts, and show partial results of a long refresh
-        for begin in range(0, len(series), AT_ONCE):
-            self._is_due |= bool(self._fleet.update(series[begin : begin + AT_ONCE]))
-            if time.monotonic() - self._shown_at > SHOWN_S:
-                self._show(history, is_complete=False)
+        self._is_due |= bool(gone | self._fleet.update(series, gone))
         self._revisions = revisions
 
-    def _show(self, history: History, *, is_complete: bool) -> None:
+    def _show(self, history: History, early: Sequence[State] = (), *, is_complete: bool) -> None:
+        """Show the computed states, and `early` ones of suspensions that have none."""
         states = self._fleet.states()
         keys = {state.key for state in states}
-        early = [state for key, state in self._early.items() if key not in keys]
         self._view = fleet_view(
-            by_urgency([*states, *early]),
-            dict(self._limits),
+            by_urgency([*states, *(state for state in early if state.key not in keys)]),
             history.all_acknowledgements(),
             self._plan,
             version=self._view.version + 1,
             is_complete=is_complete,
             bad_rows=history.bad_rows,
         )
-        self._shown_at = time.monotonic()
 
 
 def file_number(store: str) -> tuple[int, int] | None:
@@ -207,7 +192,6 @@ class Refresher:
         self.board = board
         self.every_s = every_s
         self._error = ""
-        self._started_at: datetime | None = None
         self._looked: datetime | None = None
         self._read: datetime | None = None
         self._wake, self._end = threading.Event(), threading.Event()
@@ -247,8 +231,6 @@ class Refresher:
     @property
     def words(self) -> str:
         """When the store was last read, as text."""
-        if self._started_at:
-            return Finding("reading", time=clock(self._started_at))
         if self._looked:
             return Finding("last-read", clock=clock(self._looked))
         return Finding("not-read-yet")
@@ -266,7 +248,7 @@ class Refresher:
 
     def look(self) -> None:
         """Refresh the board now; an error is logged, and stated by `fault` while there is one."""
-        started = self._started_at = datetime.now(UTC)
+        started = datetime.now(UTC)
         try:
             self.board.refresh()
             self._error = ""
@@ -277,8 +259,6 @@ class Refresher:
             if not self._error:
                 log.exception("the state of the fleet could not be computed")
             self._error = f"{type(error).__name__}: {error}"
-        finally:
-            self._started_at = None
 
 
 def clock(time: datetime) -> str:

@@ -10,22 +10,19 @@ from typing import Any
 import numpy as np
 
 from suspnet.ground.findings import Finding, parts_of, together
-from suspnet.ground.parameters import BOGIE_PARTS, SIDES, Severity, part_words
+from suspnet.ground.parameters import BOGIE_PARTS, Severity, part_words
 from suspnet.ground.records import TripResult
 from suspnet.trains.maintenance.judge import ABSURD
 from suspnet.trains.maintenance.plan import Plan, place_of
 from suspnet.trains.maintenance.state import State
-from suspnet.trains.pages.overview import REPORT, Evaluated, FleetView
-from suspnet.trains.pages.tables import interval_digits
 from suspnet.trains.pages.templates import level, shown_number
 
 EQUAL_SIDES = (
-    "these estimates take both sides and both axles as equal, protocol=components with sensors "
-    "left and right reads each part"
+    "these estimates take both sides and both axles as equal; sensors left and right, and healthy "
+    "trips with them, read each part"
 )
 """Why estimates without parts name none."""
 NONE_NAMED = Finding("no-part-at-all", reason=EQUAL_SIDES)
-MAX_DIGITS = 1  # decimals in the drawing, whose labels are narrow
 LEAST_HALF = 0.1  # smallest half width of an interval that is shown [% of healthy]
 WIDE_HALF = 10.0  # half width of an interval from which no decimals are shown [% of healthy]
 MAX_BOGIES = 6  # drawn on one page of a fleet
@@ -104,36 +101,23 @@ def bogie_of(state: State, plan: Plan | None = None) -> Bogie | None:
     return Bogie(parts, {letter: group_words(*group) for letter, group in groups.items()})
 
 
-def bogies_shown(view: FleetView, chosen: Iterable[int] | None = None) -> dict[str, Any]:
-    """Return the bogies of a fleet, those with findings first, for the macro `fleet`.
+def bogies_shown(
+    entries: Iterable[tuple[str, str, State]], plan: Plan | None = None
+) -> dict[str, Any]:
+    """Return the bogies of suspensions, those with findings first, for the macro `fleet`.
 
-    `chosen` are indices of the states, None: all. The values are "bogies", each with its place and
-    its name in URLs, "n_bogies", the number of bogies whose parts are read, and "no_part", a
+    `entries` are the place, the name in URLs and the state of each. The values are "bogies", each
+    with its place and name, "n_bogies", the number of bogies whose parts are read, and "no_part", a
     sentence if there are none.
     """
-    several = list(range(len(view.states)) if chosen is None else chosen)
-    read = [i for i in several if set(BOGIE_PARTS) & set(view.states[i].outputs)]
+    several = list(entries)
+    read = [entry for entry in several if set(BOGIE_PARTS) & set(entry[2].outputs)]
+    worst = sorted(read, key=lambda entry: -entry[2].severity)[:MAX_BOGIES]
     return {
-        "bogies": [
-            (view.rows[i]["where"], view.names[i], bogie_of(view.states[i], view.plan))
-            for i in sorted(read, key=lambda i: -view.states[i].severity)[:MAX_BOGIES]
-        ],
+        "bogies": [(where, name, bogie_of(state, plan)) for where, name, state in worst],
         "n_bogies": len(read),
         "no_part": "" if read or not several else NONE_NAMED,
     }
-
-
-def bogies_of(done: Iterable[Evaluated]) -> dict[str, Any]:
-    """Return the bogies of a folder's suspensions, in the order given; see `bogies_shown`.
-
-    The name of each is the path of its report.
-    """
-    drawn = [
-        (str(suspension.place), f"{suspension.name}/{REPORT}", bogie)
-        for suspension in done
-        if suspension.state is not None and (bogie := bogie_of(suspension.state)) is not None
-    ]
-    return {"bogies": drawn[:MAX_BOGIES], "n_bogies": len(drawn)}
 
 
 def _level(state: State, name: str) -> tuple[str, str]:
@@ -145,7 +129,7 @@ def _level(state: State, name: str) -> tuple[str, str]:
     half = float(np.median(halves)) if len(halves) else math.nan
     if not math.isfinite(half) or now > ABSURD:
         return level(now, 1), ""
-    digits = 0 if half >= WIDE_HALF else min(interval_digits([half]), MAX_DIGITS)
+    digits = 0 if half >= WIDE_HALF else 1
     return level(now, digits), shown_number(max(half, LEAST_HALF), digits)
 
 
@@ -172,17 +156,9 @@ def worn_entries(worn: str) -> list[tuple[tuple[str, ...], str]]:
 
 
 def group_words(names: Sequence[str], odds: str) -> str:
-    """Return a sentence on parts of which one has worn, with what they have in common."""
-    common = _common([part.partition("_")[2].split("_")[1:] for part in names])
+    """Return a sentence on parts of which one has worn."""
     parts = together(map(part_words, names), " or ")
-    return Finding("one-of-several-worn", common=common, odds=odds, parts=parts)
-
-
-def _common(places: Sequence[Sequence[str]]) -> str:
-    """Return " on the left", " at axle 1" or both, if parts share that; empty if nothing."""
-    shared = set(places[0]).intersection(*places[1:])
-    axles = (Finding("at-axle", axle=place[-1]) for place in sorted(shared) if "axle" in place)
-    return together((*axles, *(f" on the {side}" for side in SIDES if side in shared)), "")
+    return Finding("one-of-several-worn", odds=odds, parts=parts)
 
 
 def visits_of(plan: Plan | None, state: State) -> dict[str, str]:

@@ -26,7 +26,7 @@ from suspnet.ground.storage import printable, write_atomically, write_json
 from suspnet.ground.wording import files_of, span
 from suspnet.runs.figures import as_png, say
 from suspnet.runs.language import spoken
-from suspnet.trains.pages.templates import render
+from suspnet.trains.pages.templates import write_page
 from suspnet.trains.pages.trip_figures import CHANNEL_TITLES, draw_signals
 from suspnet.trains.recordings.recording import Recording, overview
 from suspnet.trains.trips.grouping import lone_trains
@@ -118,17 +118,13 @@ class TripCheck:
         """Amount and quality of usable data, on one line."""
         speeds = together(
             (
-                Finding("averages-at", n_averages=part.n_averages, speed_m_per_s=part.speed_m_per_s)
-                for part in self.parts
+                Finding("averages-at", n_averages=p.n_averages, speed_m_per_s=p.speed_m_per_s)
+                for p in self.parts
             ),
             ", ",
         )
-        return Finding(
-            "usable",
-            usable_percent=self.usable_percent,
-            speeds=speeds or "no steady part",
-            sensors=self.sensors,
-        )
+        values = {"usable_percent": self.usable_percent, "sensors": self.sensors}
+        return Finding("usable", speeds=speeds or "no steady part", **values)
 
     def row(self) -> dict[str, Any]:
         """Return the check as JSON-able values."""
@@ -168,45 +164,38 @@ def with_shared_data(checks: Sequence[TripCheck]) -> list[TripCheck]:
     return remarked
 
 
-@dataclass(frozen=True)
-class Suspension:
-    """The checked trips of one suspension; `title` is vehicle and place."""
-
-    title: str
-    checks: list[TripCheck]
-
-    def sentences(self) -> list[str]:
-        """Return how much data commissioning and reading would have."""
-        ready = [check for check in self.checks if check.state == READY]
-        trips = Finding("trips", n=len(self.checks))
-        words: list[str] = [Finding("some-ready", n_ready=len(ready), trips=trips)]
-        speeds = [part.speed_m_per_s for check in ready for part in check.parts]
-        if speeds:
-            setting = setting_words(covering(speeds, SPEED_HALF_WIDTH))
-            kilometres = [check.mileage_km for check in ready]
-            words[0] = Finding(
-                "read-by",
-                ready=words[0],
-                km=_ends(kilometres, 0),
-                speeds=_ends(speeds, 1),
-                read_by=ready[0].read_by or Finding("train-with", setting=setting),
-            )
-        if len(ready) < LEAST_TRIPS:
-            words.append(Finding("more-trips-needed", least_trips=LEAST_TRIPS))
-        kinds = sorted({check.sensors for check in ready})
-        if len(kinds) > 1:
-            words.append(Finding("sensors-differ", kinds=together(kinds, "; ")))
-        return words
-
-
-def suspensions(checks: Iterable[TripCheck]) -> list[Suspension]:
+def suspensions(checks: Iterable[TripCheck]) -> dict[str, list[TripCheck]]:
     """Return the trips whose manifests could be read, by vehicle and place."""
     by_title: dict[str, list[TripCheck]] = {}
     for check in checks:
         if check.vehicle:
             title = together((check.vehicle, str(check.place)), ", ")
             by_title.setdefault(title, []).append(check)
-    return [Suspension(title, by_title[title]) for title in sorted(by_title)]
+    return dict(sorted(by_title.items()))
+
+
+def suspension_sentences(checks: Sequence[TripCheck]) -> list[str]:
+    """Return how much data commissioning and reading of one suspension would have."""
+    ready = [check for check in checks if check.state == READY]
+    words: list[str] = [
+        Finding("some-ready", n_ready=len(ready), trips=Finding("trips", n=len(checks)))
+    ]
+    speeds = [part.speed_m_per_s for check in ready for part in check.parts]
+    if speeds:
+        setting = setting_words(covering(speeds, SPEED_HALF_WIDTH))
+        words[0] = Finding(
+            "read-by",
+            ready=words[0],
+            km=_ends([check.mileage_km for check in ready], 0),
+            speeds=_ends(speeds, 1),
+            read_by=ready[0].read_by or Finding("train-with", setting=setting),
+        )
+    if len(ready) < LEAST_TRIPS:
+        words.append(Finding("more-trips-needed", least_trips=LEAST_TRIPS))
+    kinds = sorted({check.sensors for check in ready})
+    if len(kinds) > 1:
+        words.append(Finding("sensors-differ", kinds=together(kinds, "; ")))
+    return words
 
 
 def train_words(checks: Iterable[TripCheck]) -> list[str]:
@@ -244,19 +233,33 @@ def summary(checks: Sequence[TripCheck], elsewhere: Sequence[str] = ()) -> str:
 
     `elsewhere` are problems outside the trips.
     """
-    read = [check for check in checks if np.isfinite(check.duration_s)]
+    rows = []
+    for check in checks:
+        if not np.isfinite(check.duration_s):
+            continue
+        speeds = [part.speed_m_per_s for part in check.parts]
+        coherences = [(p.coherence_p, p.coherence_s) for p in check.parts[:1]]
+        is_steady = np.isfinite(check.steady_percent)
+        rows.append(
+            {
+                "trip": check.name,
+                "minutes": f"{check.duration_s / 60:.1f}",
+                "usable %": f"{check.usable_percent:.1f}",
+                "steady %": f"{check.steady_percent:.0f}" if is_steady else "",
+                "m/s": _ends(speeds, 1) if speeds else "",
+                "averages": f"{check.n_averages:.0f}",
+                "coherence": "".join(f"{p:.2f}, {s:.2f}" for p, s in coherences if np.isfinite(p)),
+                "sensors": check.sensors,
+                "state": check.shown,
+            }
+        )
     lines = [verdict(checks, elsewhere)]
-    if read:
-        header = [
-            *("trip", "minutes", "usable %", "steady %", "m/s"),
-            *("averages", "coherence", "sensors", "state"),
-        ]
-        rows = [_cells(check) for check in read]
-        lines.append(tabulate(rows, header, tablefmt="github", disable_numparse=True))
-    if any(check.steady_percent < check.usable_percent for check in read):
+    if rows:
+        lines.append(tabulate(rows, "keys", tablefmt="github", disable_numparse=True))
+    if any(check.steady_percent < check.usable_percent for check in checks):
         lines.append(USABLE)
-    for one in suspensions(checks):
-        lines += ["", f"{one.title}: {'; '.join(one.sentences())}"]
+    for title, several in suspensions(checks).items():
+        lines += ["", f"{title}: {'; '.join(suspension_sentences(several))}"]
     lines += train_words(checks)
     problems = _by_words((check.name, check.problems) for check in checks)
     remarks = _by_words((check.name, check.remarks) for check in checks)
@@ -267,24 +270,6 @@ def summary(checks: Sequence[TripCheck], elsewhere: Sequence[str] = ()) -> str:
         if listed:
             lines += ["", f"{title}:", *(f"  {line}" for line in listed)]
     return "\n".join(lines)
-
-
-def _cells(check: TripCheck) -> list[str]:
-    speeds = [part.speed_m_per_s for part in check.parts]
-    coherence = ""
-    if check.parts and np.isfinite(check.parts[0].coherence_p):
-        coherence = f"{check.parts[0].coherence_p:.2f}, {check.parts[0].coherence_s:.2f}"
-    return [
-        check.name,
-        f"{check.duration_s / 60:.1f}",
-        f"{check.usable_percent:.1f}",
-        f"{check.steady_percent:.0f}" if np.isfinite(check.steady_percent) else "",
-        _ends(speeds, 1) if speeds else "",
-        f"{check.n_averages:.0f}",
-        coherence,
-        check.sensors,
-        check.shown,
-    ]
 
 
 def _by_words(remarks: Iterable[tuple[str, Sequence[str]]]) -> list[tuple[str, str]]:
@@ -309,36 +294,36 @@ def _by_words(remarks: Iterable[tuple[str, Sequence[str]]]) -> list[tuple[str, s
     return listed
 
 
-def _on_files(check: TripCheck) -> list[str]:
-    """Return the remarks on how the trip's files were read."""
-    return [sentence for sentence in check.remarks if any(files_of(sentence).values())]
-
-
 def write_checks(checks: Sequence[TripCheck], elsewhere: Sequence[str], output: Path) -> Path:
     """Write check.json and the page check.html; return the path of the page."""
-    content: dict[str, Any] = {
-        "suspnet_version": __version__,
+    shared: dict[str, Any] = {
         "verdict": verdict(checks, elsewhere),
-        "problems": list(elsewhere),
-        "suspensions": {one.title: one.sentences() for one in suspensions(checks)},
-        "trips": [check.row() for check in checks],
+        "suspensions": {
+            title: suspension_sentences(several) for title, several in suspensions(checks).items()
+        },
     }
-    write_json(output / "check.json", content)
+    content = {"suspnet_version": __version__, "problems": list(elsewhere)}
+    write_json(output / "check.json", content | shared | {"trips": [c.row() for c in checks]})
     worst = max((check.shown for check in checks), key=list(TONES).index, default=PROBLEM)
-    page = render(
+    # how files were read is no fault of a trip: it is said once, below the table
+    on_files = [[s for s in check.remarks if any(files_of(s).values())] for check in checks]
+    names = [check.name for check in checks]
+    return write_page(
+        output / "check.html",
         "check.html",
         title=spoken("Check of recordings"),
-        verdict=content["verdict"],
         tone=TONES[PROBLEM if elsewhere else worst],
         elsewhere=elsewhere,
-        suspensions=content["suspensions"],
         trains=train_words(checks),
         checks=checks,
-        findings=[[s for s in one.remarks if s not in _on_files(one)] for one in checks],
-        read_as=[words for words, _ in _by_words((one.name, _on_files(one)) for one in checks)],
+        findings=[
+            [s for s in check.remarks if s not in own]
+            for check, own in zip(checks, on_files, strict=True)
+        ],
+        read_as=[words for words, _ in _by_words(zip(names, on_files, strict=True))],
         tones=TONES,
+        **shared,
     )
-    return write_atomically(output / "check.html", page.encode("utf-8", errors="replace"))
 
 
 LINKS = ("axle box to bogie frame", "bogie frame to car body")

@@ -1,19 +1,16 @@
-"""The files of a commissioned vehicle: a page, figures, numbers and curves."""
+"""The files of a commissioned vehicle: a page, a figure and numbers."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
 
 from suspnet._version import __version__
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
@@ -21,7 +18,7 @@ from suspnet.estimation.flags import INCOMPLETE
 from suspnet.estimation.relative_velocity import NOTE as VELOCITY
 from suspnet.estimation.temperature import NOTE
 from suspnet.ground.findings import Finding, together
-from suspnet.ground.storage import printable, write_atomically, write_json, write_table
+from suspnet.ground.storage import printable, write_atomically, write_json
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.runs.figures import SUSPENSIONS, as_png, data_uri, say
 from suspnet.runs.language import N_, gettext, spoken
@@ -29,34 +26,22 @@ from suspnet.trains.fits.bogie_fit import EXPLAINED
 from suspnet.trains.fits.commissioning import Commissioned
 from suspnet.trains.identification import commissioning_summary as words
 from suspnet.trains.identification.healthy_trips import HealthyTrips
-from suspnet.trains.pages.tables import band
-from suspnet.trains.pages.templates import render
+from suspnet.trains.pages.templates import write_page
+from suspnet.trains.pages.trip_figures import band
 from suspnet.trains.recordings.manifest import CHANNELS
 
 log = logging.getLogger(__name__)
 NAME = "commissioning"
 """Base name of the files."""
-CAPTIONS = {
-    "responses": (
-        "Measured and commissioned responses",
-        "Above: by how much each suspension amplifies vibration of each frequency, and its phase, "
-        "on the trip with the least noise. The commissioned vehicle should lie on the measured "
-        "curve where its grey band is narrow. Below: the residual of each stretch (grey) and the "
-        "rms of all (blue), over the noise; 1 is noise alone, and a peak far above it is a "
-        "frequency at which the vehicle moves as the model cannot.",
-    ),
-    "numbers": (
-        "Numbers before and after the trips",
-        "Each bar is a median with one standard deviation to both sides, over the value of the "
-        "drawing. A short blue bar is a number that the trips determine; a blue bar as long "
-        "as the grey one is a number that they do not determine.",
-    ),
-}
+HEADING = N_("Measured and commissioned responses")
+EXPLANATION = N_(
+    "Above: by how much each suspension amplifies vibration of each frequency on the trip with the "
+    "least noise. The commissioned vehicle should lie on the measured curve "
+    "where its grey band is narrow. Below: the residual of each stretch (grey) and the rms of all "
+    "(blue), over the noise; 1 is noise alone, and a peak far above it is a frequency at which the "
+    "vehicle moves as the model cannot."
+)
 MEASURED, NOMINAL, FITTED = "0.7", "tab:orange", "tab:blue"
-ROW_INCH = 0.21
-"""Height of a row of the figure of numbers, [inch]."""
-LEAST_RATIO = 0.05
-"""Smallest ratio to the drawing that is shown: the axis is logarithmic."""
 
 
 def write_outcome(
@@ -65,19 +50,17 @@ def write_outcome(
     outcome: Commissioned,
     bogie: CommissionedBogie | None = None,
 ) -> None:
-    """Write page, numbers (JSON), curves (tables) and figures of a commissioned vehicle.
+    """Write page, numbers (JSON) and a figure of a commissioned vehicle.
 
     If each part is read, they are of the `bogie`, and the vehicle has its numbers.
     """
-    drawn = {"numbers": number_ranges(words.numbers(outcome))}
+    drawn = None
     if healthy.groups:
-        drawn["responses"] = responses(healthy, outcome)
-        write_table(pa.concat_tables(_curves(healthy, outcome)), folder / f"{NAME}_responses")
-    for name, figure in drawn.items():
-        write_atomically(folder / "figures" / f"{NAME}_{name}.png", as_png(figure))
+        drawn = responses(healthy, outcome)
+        write_atomically(folder / "figures" / f"{NAME}_responses.png", as_png(drawn))
     write_json(folder / f"{NAME}.json", as_json(healthy, outcome, bogie))
-    page = _page(healthy, outcome, drawn, bogie)
-    path = write_atomically(folder / f"{NAME}.html", page.encode("utf-8", errors="replace"))
+    values = _page_values(healthy, outcome, drawn, bogie)
+    path = write_page(folder / f"{NAME}.html", "commissioning.html", **values)
     log.info("-> %s", path)
 
 
@@ -112,7 +95,7 @@ def as_json(
     return {
         "suspnet_version": __version__,
         "vehicle": generator.vehicle.name,
-        "suspension": _place(healthy),
+        "suspension": str(healthy.manifests[0].place),
         "parts": list(generator.parts),
         "verdict": verdict,
         "threshold": INCOMPLETE,
@@ -126,12 +109,12 @@ def as_json(
     }
 
 
-def _page(
+def _page_values(
     healthy: HealthyTrips,
     outcome: Commissioned,
-    drawn: Mapping[str, Figure],
+    drawn: Figure | None,
     bogie: CommissionedBogie | None = None,
-) -> str:
+) -> dict[str, Any]:
     if bogie is None:
         verdict, threshold = words.verdict(healthy, outcome), INCOMPLETE
         doubts, calm = [*healthy.doubts, *words.doubts(outcome)], words.agreement(outcome)
@@ -146,71 +129,64 @@ def _page(
         meaning = spoken(number.quantity.meaning)
         row = words.cells(number) | {"meaning": meaning[0].upper() + meaning[1:]}
         groups.setdefault(words.PART_TITLES[number.quantity.part], []).append(row)
-    vehicle = outcome.generator.vehicle
-    return render(
-        "commissioning.html",
-        title=spoken(Finding("commissioning", name=vehicle.name)),
-        headline=_headline(healthy, vehicle.name),
-        mileage_km=training_notes(healthy, outcome)["mileage_km"],
-        of_parts=bogie is not None,
-        tone="notice" if doubts else "good",
-        verdict=verdict,
-        doubts=doubts,
-        agreement="" if doubts else calm,
-        reference=words.reference(outcome),
-        figures=[
-            {
-                "heading": gettext(heading),
-                "explanation": gettext(text),
-                "image": data_uri(drawn[name]),
-            }
-            for name, (heading, text) in CAPTIONS.items()
-            if name in drawn
-        ],
-        groups=groups,
-        untold=words.untold(numbers),
-        scale=words.force_scale(vehicle.bogie_mass_kg),
-        trips=_trips(healthy, outcome),
-        left_out=healthy.left_out,
-        threshold=threshold,
-        details={
+    vehicle, n_left = outcome.generator.vehicle, len(healthy.left_out)
+    n_trips = len(healthy.manifests)
+    sensors: list[str] = [
+        Finding("left-and-right" if pair else "one-sensor", channel=channel.replace("_", " "))
+        for channel, pair in zip(CHANNELS, healthy.paired, strict=True)
+    ]
+    if healthy.vehicle is not None and healthy.vehicle.sensors and not healthy.groups:
+        sensors = [place.replace("_", " ") for place in healthy.vehicle.sensors]
+    return {
+        "title": spoken(Finding("commissioning", name=vehicle.name)),
+        "headline": {
+            "Vehicle": vehicle.name,
+            "Suspension": str(healthy.manifests[0].place),
+            "Trips": Finding("trips-and-left-out", n=n_trips, n_left=n_left)
+            if n_left
+            else str(n_trips),
+            "Sensors": together(sensors, ", "),
+        },
+        "mileage_km": training_notes(healthy, outcome)["mileage_km"],
+        "of_parts": bogie is not None,
+        "tone": "notice" if doubts else "good",
+        "verdict": verdict,
+        "doubts": doubts,
+        "agreement": "" if doubts else calm,
+        "reference": words.reference(outcome),
+        "figure": drawn
+        and {
+            "heading": gettext(HEADING),
+            "explanation": gettext(EXPLANATION),
+            "image": data_uri(drawn),
+        },
+        "groups": groups,
+        "untold": words.untold(numbers),
+        "scale": words.force_scale(vehicle.bogie_mass_kg),
+        "trips": _trips(healthy, outcome),
+        "left_out": healthy.left_out,
+        "threshold": threshold,
+        "details": {
             "trips": str(healthy.manifests[0].path.parent),
             N_("parts"): ", ".join(outcome.generator.parts).replace("_", " ")
             or "rigid bodies only",
             "suspnet": __version__,
             "date": datetime.now().astimezone().isoformat(" ", "seconds"),
         },
-    )
-
-
-def _headline(healthy: HealthyTrips, vehicle: str) -> dict[str, str]:
-    pairs: list[str] = [
-        Finding("left-and-right" if pair else "one-sensor", channel=channel.replace("_", " "))
-        for channel, pair in zip(CHANNELS, healthy.paired, strict=True)
-    ]
-    if healthy.vehicle is not None and healthy.vehicle.sensors and not healthy.groups:
-        pairs = [place.replace("_", " ") for place in healthy.vehicle.sensors]
-    n, n_left = len(healthy.manifests), len(healthy.left_out)
-    return {
-        "Vehicle": vehicle,
-        "Suspension": _place(healthy),
-        "Trips": Finding("trips-and-left-out", n=n, n_left=n_left) if n_left else str(n),
-        "Sensors": together(pairs, ", "),
     }
-
-
-def _place(healthy: HealthyTrips) -> str:
-    return str(healthy.manifests[0].place)
 
 
 def _trips(healthy: HealthyTrips, outcome: Commissioned) -> list[dict[str, Any]]:
     """Return what page and JSON show of each trip."""
     rows = []
     for i, manifest in enumerate(healthy.manifests):
-        pairs = zip(healthy.groups, outcome.misfits, strict=True)
-        groups = [_group(group, misfit) for group, misfit in pairs if group.trip == i]
+        read: list[tuple[Any, float | None]] = [
+            (group, misfit)
+            for group, misfit in zip(healthy.groups, outcome.misfits, strict=True)
+            if group.trip == i
+        ]
         if not healthy.groups:  # these trips show their parts only
-            groups = [_group(healthy.of_parts[i], None)]
+            read = [(healthy.of_parts[i], None)]
         ratio = float(outcome.masses[i])
         rows.append(
             {
@@ -219,37 +195,17 @@ def _trips(healthy: HealthyTrips, outcome: Commissioned) -> list[dict[str, Any]]
                 "start": "" if manifest.start is None else manifest.start.isoformat(),
                 "mass_ratio": ratio,
                 "mass_kg": ratio * outcome.generator.vehicle.body_mass_kg,
-                "groups": groups,
+                "groups": [
+                    {
+                        "speed_m_per_s": group.speed_m_per_s,
+                        "n_averages": group.spectra.n_averages,
+                        "misfit": misfit,
+                    }
+                    for group, misfit in read
+                ],
             }
         )
     return rows
-
-
-def _group(trip: Any, misfit: float | None) -> dict[str, float | None]:
-    averages = trip.spectra.n_averages
-    return {"speed_m_per_s": trip.speed_m_per_s, "n_averages": averages, "misfit": misfit}
-
-
-def _curves(healthy: HealthyTrips, outcome: Commissioned) -> list[pa.Table]:
-    left = residuals(outcome)
-    tables = []
-    for i, group in enumerate(healthy.groups):
-        n_bins = len(outcome.frequencies_hz)
-        name = group.name.encode("utf-8", errors="replace").decode()  # as a file's may be
-        columns: dict[str, Any] = {
-            "trip": [name] * n_bins,
-            "speed_m_per_s": np.full(n_bins, group.speed_m_per_s),
-            "frequency_hz": outcome.frequencies_hz,
-        }
-        for link, suffix in enumerate(("p", "s")):
-            for what in ("observed", "nominal", "fitted"):
-                response = getattr(outcome, what)[i, link]
-                columns[f"{what}_magnitude_{suffix}"] = np.abs(response)
-                columns[f"{what}_phase_rad_{suffix}"] = np.angle(response)
-            columns[f"deviation_{suffix}"] = outcome.deviations[i, link]
-            columns[f"residual_over_noise_{suffix}"] = left[i, link]
-        tables.append(pa.table(columns))
-    return tables
 
 
 def residuals(outcome: Commissioned) -> FloatArray:
@@ -266,8 +222,8 @@ def responses(healthy: HealthyTrips, outcome: Commissioned) -> Figure:
     group = int(np.argmin(np.median(outcome.deviations, axis=(1, 2))))  # with the least noise
     measured = healthy.groups[group]
     frequencies_hz, left = outcome.frequencies_hz, residuals(outcome)
-    figure = Figure(figsize=(9.0, 8.4), layout="constrained")
-    axes = figure.subplots(3, 2, sharex=True, sharey="row", height_ratios=(3, 2, 2))
+    figure = Figure(figsize=(9.0, 6.4), layout="constrained")
+    axes = figure.subplots(2, 2, sharex=True, sharey="row", height_ratios=(3, 2))
     km, km_per_h = healthy.manifests[measured.trip].mileage_km, 3.6 * measured.speed_m_per_s
     where = Finding("measured-at", km=km, km_per_h=km_per_h)
     curves: tuple[tuple[ComplexArray, str, dict[str, Any]], ...] = (
@@ -276,69 +232,22 @@ def responses(healthy: HealthyTrips, outcome: Commissioned) -> Figure:
         (outcome.fitted, "commissioned vehicle", {"color": FITTED, "lw": 1.0}),
     )
     for link, (title, column) in enumerate(zip(SUSPENSIONS, axes.T, strict=True)):
-        magnitude, phase, below = column
+        magnitude, below = column
         magnitude.set(title=title)
         ends = band(np.abs(outcome.observed[group, link]), outcome.deviations[group, link])
         style = {"color": MEASURED, "alpha": 0.4, "lw": 0, "label": "95 % band"}
         magnitude.fill_between(frequencies_hz, *ends, **style)
         for values, label, style in curves:
-            response = values[group, link]
-            magnitude.semilogy(frequencies_hz, np.abs(response), label=label, **style)
-            is_smooth = values is not outcome.observed
-            like = outcome.fitted[group, link]
-            phase.plot(frequencies_hz, _phase(response, like, is_smooth), **style)
+            magnitude.semilogy(frequencies_hz, np.abs(values[group, link]), label=label, **style)
         _residuals(below, frequencies_hz, left[:, link])
     for axis in axes.flat:
         axis.margins(x=0)
         axis.grid(True, which="both", alpha=0.3)
-    for axis, label in zip(
-        axes[:, 0], ("magnitude", "phase [degrees]", "residual\nover the noise"), strict=True
-    ):
-        axis.set_ylabel(label)
+    axes[0][0].set_ylabel("magnitude")
+    axes[1][0].set_ylabel("residual\nover the noise")
     figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     figure.align_ylabels(axes)
     return figure
-
-
-def number_ranges(numbers: Sequence[words.Number]) -> Figure:
-    """Draw the median and one standard deviation of each number, before and after, over nominal.
-
-    Numbers that are usually 0 have no nominal value to be drawn over; the table holds them.
-    """
-    numbers = [number for number in numbers if number.quantity.median]
-    height = 1.2 + ROW_INCH * len(numbers)
-    figure = Figure(figsize=(9.0, height), layout="constrained")
-    axis = figure.subplots()
-    places = -np.arange(len(numbers), dtype=float)
-    styles: tuple[tuple[str, str, dict[str, Any]], ...] = (
-        ("prior", "before", {"color": "0.65", "lw": 5, "solid_capstyle": "butt"}),
-        ("posterior", "after the trips", {"color": FITTED, "lw": 2, "marker": "o", "ms": 3}),
-    )
-    for which, label, style in styles:
-        for place, number in zip(places, numbers, strict=True):
-            ends = np.array(getattr(number, which)) / (number.nominal or 1.0)
-            axis.plot(np.maximum(ends, LEAST_RATIO), [place] * 3, markevery=[1], **style)
-        axis.plot([], [], label=label, **style)
-    axis.set(xscale="log", xlabel="over the value of the drawing", ylim=(places[-1] - 1, 1))
-    axis.set_yticks(
-        places, [spoken(number.quantity.meaning) for number in numbers], fontsize="x-small"
-    )
-    ticks = (0.2, 0.5, 1, 2, 5)
-    axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-    axis.xaxis.set_minor_formatter(NullFormatter())
-    axis.axvline(1, color="0.4", lw=0.8)
-    axis.grid(True, axis="x", alpha=0.3)
-    figure.legend(loc="outside upper center", ncols=2)
-    return figure
-
-
-def _phase(response: ComplexArray, like: ComplexArray, is_smooth: bool) -> FloatArray:
-    """Return a phase [degrees], by whole turns next to that of the smooth response `like`."""
-    base = np.unwrap(np.angle(like))
-    if not is_smooth:
-        return np.asarray(np.degrees(base + np.angle(response / like)))
-    phase = np.unwrap(np.angle(response))
-    return np.asarray(np.degrees(phase) - 360 * np.round(np.median(phase - base) / (2 * np.pi)))
 
 
 def _residuals(axis: Axes, frequencies_hz: FloatArray, left: FloatArray) -> None:

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from suspnet._version import __version__
 from suspnet.estimation.bogie_model import BogieModel
-from suspnet.estimation.fitted import FittedMethod, Model
-from suspnet.estimation.from_spectra import trip_settings
+from suspnet.estimation.fitted import Model
 from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import Limits, limits_words
 from suspnet.ground.records import TripResult
@@ -36,7 +35,6 @@ def report_details(
     define healthy (None: the models do).
     """
     first = models[0]
-    trained = trip_settings(first)
     healthy = together((healthy_words(era[0]) for era in eras(models)), "; then ")
     if n_reference is not None:
         reference = first_trips(results, n_reference)
@@ -46,24 +44,34 @@ def report_details(
         missing = missing_reference(results, n_reference)
         healthy = together((together((median, flagged), ", "), missing))
     misfits = together((misfit_words(era[0]) for era in eras(models)), "; then ")
-    kind = type(first.generator).__name__
     return {
         N_("trips"): printable(str(folder)),
         N_("bogie"): together(dict.fromkeys(m.generator.bogie or "any" for m in models), ", "),
         "suspnet": __version__,
         N_("date"): datetime.now().astimezone().isoformat(" ", "seconds"),
-        N_("model"): Finding("commissioned-bogie")
-        if isinstance(first, BogieModel)
-        else Finding("trained", name=first.name, n=first.training.get("n_train", 0), kind=kind),
+        N_("model"): _model_words(first),
         N_("speeds"): together(dict.fromkeys(map(speed_words, models)), ", "),
-        N_("transfer functions"): Finding(
-            "windows", method=trained.method, window=trained.window, segment_s=trained.segment_s
-        ),
         N_("healthy is"): healthy,
         N_("misfit of the healthy trips"): misfits,
         N_("intervals"): _interval_words(first, level),
         N_("limits"): limits_words(limits),
     } | files_read_as(results)
+
+
+def _model_words(model: Model) -> str:
+    if isinstance(model, BogieModel):
+        return Finding("commissioned-bogie")
+    n, kind = model.training.get("n_train", 0), type(model.generator).__name__
+    return Finding("trained", name=model.name, n=n, kind=kind)
+
+
+def _interval_words(model: Model, level: float) -> str:
+    """Return the source of the intervals, as text."""
+    if isinstance(model, BogieModel):
+        return Finding("intervals-of-posterior", level=100 * level)
+    if not isinstance(model, FittedMethod) or model.intervals is None:
+        return "none: the model was trained with data.n_calibrate=null"
+    return Finding("calibrated", level=100 * level, n_scores=len(model.intervals.conformal.scores))
 
 
 def missing_reference(results: list[TripResult], n_reference: int | None) -> str:
@@ -99,13 +107,3 @@ def misfit_words(model: Model) -> str:
     if misfit is None:
         return "none: the vehicle is that of the drawing, not commissioned"
     return Finding("misfit-of-noise", misfit=misfit)
-
-
-def _interval_words(model: Model, level: float) -> str:
-    """Return the source of the intervals, as text."""
-    if isinstance(model, BogieModel):
-        return Finding("intervals-of-posterior", level=100 * level)
-    assert isinstance(model, FittedMethod)
-    if model.intervals is None:
-        return "none: the model was trained with data.n_calibrate=null"
-    return Finding("calibrated", level=100 * level, n_scores=len(model.intervals.conformal.scores))

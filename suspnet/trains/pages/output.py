@@ -1,13 +1,14 @@
-"""Output files of a fleet: tables, figures, TensorBoard, metrics and the report."""
+"""Output files of a fleet: tables, figures, metrics and the report."""
 
 from __future__ import annotations
 
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 import pyarrow as pa
@@ -15,39 +16,34 @@ import pyarrow.parquet as pq
 from matplotlib.figure import Figure
 from tabulate import tabulate
 
-from suspnet.ground.extras import check_extra
 from suspnet.ground.findings import NO_PART, Finding, together
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, PARAMETERS, Cause, Severity
-from suspnet.ground.records import OK, TripResult, outputs_of
+from suspnet.ground.records import OK, TripResult
 from suspnet.ground.storage import write_atomically, write_json, write_table
 from suspnet.ground.wording import count, kilometres
 from suspnet.runs.figures import as_png, data_uri
 from suspnet.runs.language import gettext
-from suspnet.runs.tensorboard import RunLog
 from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm, newest_of
-from suspnet.trains.maintenance.assessment import overall, spoken
+from suspnet.trains.maintenance.assessment import overall
 from suspnet.trains.maintenance.life import Life
 from suspnet.trains.maintenance.plan import Plan, joined
 from suspnet.trains.maintenance.relative import relative_to_first_healthy
 from suspnet.trains.pages import trip_figures
-from suspnet.trains.pages.bogie import bogies_of, bogies_shown
+from suspnet.trains.pages.bogie import bogies_shown
 from suspnet.trains.pages.failing_sensors import LISTED, failing_sensors
-from suspnet.trains.pages.maintenance_figures import health_trend, small_trends
 from suspnet.trains.pages.overview import (
     REPORT,
     Evaluated,
     FleetView,
     finding,
-    first_words,
     most_severe,
+    overview_table,
     same_columns,
 )
-from suspnet.trains.pages.pdf import write_pdf
 from suspnet.trains.pages.report import Report, write_report
 from suspnet.trains.pages.tables import split_outputs
-from suspnet.trains.pages.templates import render
-from suspnet.trains.pages.trend import trend_of_trips
-from suspnet.trains.pages.xlsx import write_xlsx
+from suspnet.trains.pages.templates import write_page
+from suspnet.trains.pages.trend import health_trend, small_trends, trend_of_trips
 
 KNOWN_ERROR_PERCENT = "rms error %"
 COVERAGE_PERCENT = "intervals hold %"
@@ -194,34 +190,27 @@ def write_tables(results: Sequence[TripResult], outputs: tuple[str, ...], output
 
 
 def write_pages(report: Report, output: Path, *, draw: bool = True) -> None:
-    """Write figures if `draw`, TensorBoard events, metrics.json and report.html.
+    """Write figures if `draw`, metrics.json and report.html.
 
     The trend figure is relative to the first of several commissionings.
     """
-    results, outputs, state = report.results, report.outputs, report.state
+    results, outputs = report.results, report.outputs
     done = [r for r in results if r.status == OK]
-    # where parts are read, each has a small figure of its own in place of the common trend
+    # where parts are read, each has a figure of its own in place of the common trend
     drawn, small = {}, {}
     if draw:
         relative = relative_to_first_healthy(results, report.commissionings)
-        trend = trend_of_trips(relative, state, outputs, report.level, report.commissionings)
+        trend = trend_of_trips(relative, report.state, outputs, report.level, report.commissionings)
         small = small_trends(trend)
-        drawn = {} if small else {"trend": health_trend(trend)}
+        has_parts = bool(set(outputs) & set(BOGIE_PARTS))
+        drawn = {} if has_parts else {"trend": health_trend(trend)}
         drawn |= {
             "responses": trip_figures.trip_responses(results),
             "signals": trip_figures.trip_signals(done[-1] if done else results[-1]),
-            "quality": trip_figures.quality(results),
         }
-    with RunLog(output, is_new=True) as run_log:
-        for i, result in enumerate(done):
-            values = result.estimates | {"n_averages": result.quality.n_averages}
-            step = i if np.isnan(result.mileage_km) else round(result.mileage_km)
-            run_log.scalars("trips", values, step)
-        named = {f"trend_{name}": figure for name, figure in small.items()}
-        for name, figure in (drawn | named).items():
-            run_log.figure(name, figure, output / "figures")
-        run_log.text("trips", summary(results, outputs))
-        run_log.text("verdict", spoken(state.assessments))
+    named = {f"trend_{name}": figure for name, figure in small.items()}
+    for name, figure in (drawn | named).items():
+        write_atomically(output / "figures" / f"{name}.png", as_png(figure))
     # NumPy's numbers become plain ones on the way through JSON
     metrics = json.loads(json.dumps(_metrics(report), default=float))
     write_json(output / "metrics.json", metrics)
@@ -255,51 +244,22 @@ def _metrics(report: Report) -> dict[str, Any]:
     }
 
 
-def write_overview(done: Sequence[Evaluated], outputs: Sequence[str], output: Path) -> str:
+def write_overview(done: Sequence[Evaluated], output: Path) -> str:
     """Write overview.parquet, .csv and .html of a folder, and return the overview as text.
 
-    `done` is in the order of the rows; last estimates are shown of the parameters `outputs`.
+    `done` is in the order of the rows. Each suspension is a link to its report.
     """
-    rows = [suspension.row(outputs) for suspension in done]
-    write_table(pa.Table.from_pylist(rows), output / "overview")
-    page = render(
-        "overview.html",
-        rows=rows,
-        outputs=outputs,
-        finding=finding(rows),
-        most_severe=most_severe(rows),
-        **bogies_of(done),
-    )
-    write_atomically(output / "overview.html", page)
-    shown = ["folder", "suspension", "bogie", "side", "severity", "parameter", "n_trips", "reason"]
-    if any(row["sensors"] for row in rows):
-        shown.append("sensors")
-    table = tabulate([[row[key] for key in shown] for row in rows], shown, tablefmt="github")
-    return f"{first_words(rows)}\n{table}"
-
-
-def check_documents(*, pdf: bool, xlsx: bool) -> None:
-    """Raise ValueError if the package that writes one of these is missing."""
-    if pdf:
-        check_extra("pdf", "weasyprint")
-    if xlsx:
-        check_extra("xlsx", "xlsxwriter")
-
-
-def write_documents(done: Sequence[Evaluated], output: Path, *, pdf: bool, xlsx: bool) -> None:
-    """Write each page of a folder's evaluation as PDF too, and all its trips as tables.xlsx."""
-    if pdf:
-        pages = [output / REPORT, output / "overview.html"]
-        pages += [output / own.name / REPORT for own in done if not own.error]
-        for page in dict.fromkeys(pages):
-            if page.is_file():
-                write_pdf(page)
-    if xlsx:
-        results = [result for own in done for result in own.results]
-        outputs = outputs_of(results)
-        overview = [own.row(outputs) for own in done]
-        trips = [result.row(outputs) for result in results]
-        write_xlsx({"overview": overview, "trips": trips}, output / "tables.xlsx")
+    rows = [suspension.row() for suspension in done]
+    entries = [
+        (str(own.place), f"{own.name}/{REPORT}", own.state) for own in done if own.state is not None
+    ]
+    linked = [
+        row | ({"address": quote(row["report"])} if row["report"] else {})
+        for row in _write_table_of(rows, output)
+    ]
+    shown = bogies_shown(entries)
+    _write_fleet_page(linked, output, **shown, address=quote)
+    return overview_table(rows)
 
 
 def write_fleet(view: FleetView, plan: Plan, figure: Figure, output: Path) -> None:
@@ -308,24 +268,34 @@ def write_fleet(view: FleetView, plan: Plan, figure: Figure, output: Path) -> No
     The page holds overview, plan with its calendar `figure`, and sister suspensions; it is
     self-contained.
     """
-    write_table(pa.Table.from_pylist(same_columns(view.rows)), output / "overview")
+    rows = _write_table_of(view.rows, output)
     jobs: list[dict[str, Any]] = plan.rows()
     if jobs:
         write_table(pa.Table.from_pylist(jobs), output / "plan")
     write_atomically(output / "calendar.png", as_png(figure, 150))
-    page = render(
-        "fleet.html",
-        rows=view.rows,
-        finding=finding(view.rows),
-        most_severe=most_severe(view.rows),
+    _write_fleet_page(
+        rows,
+        output,
         plan=plan,
         jobs=joined(jobs),
         calendar=data_uri(figure),
-        sisters=[[view.rows[i] for i in car] for car in view.cars],
-        parameters=[name for name in PARAMETERS if name != BODY_MASS],
-        **bogies_shown(view),
+        **bogies_shown(view.entries, plan),
     )
-    write_atomically(output / "overview.html", page.encode("utf-8", errors="replace"))
+
+
+def _write_table_of(rows: Sequence[Mapping[str, Any]], output: Path) -> list[dict[str, Any]]:
+    """Write the overview as a table, and return its rows, each with the columns of all."""
+    rows = same_columns(rows)
+    write_table(pa.Table.from_pylist(rows), output / "overview")
+    return rows
+
+
+def _write_fleet_page(rows: Sequence[Mapping[str, Any]], output: Path, **values: Any) -> None:
+    values = {"plan": None, "address": None} | values
+    parameters = [name for name in PARAMETERS if name != BODY_MASS]
+    sentences = {"finding": finding(rows), "most_severe": most_severe(rows)}
+    values |= {"rows": rows, "parameters": parameters}
+    write_page(output / "overview.html", "fleet.html", **sentences, **values)
 
 
 def _life_row(life: Life | None) -> dict[str, Any] | None:

@@ -11,13 +11,13 @@ import numpy as np
 from tabulate import tabulate
 
 from suspnet.ground.findings import Finding, together
-from suspnet.ground.parameters import Limits, Severity, part_words
+from suspnet.ground.parameters import Severity, part_words
 from suspnet.ground.records import OK, PLACE_FROM_TRAIN, Key, Place, TripResult
 from suspnet.ground.storage import content_hash
 from suspnet.trains.history.schema import BadRow
 from suspnet.trains.maintenance.alarms import Acknowledgement, newest_of
 from suspnet.trains.maintenance.plan import Plan
-from suspnet.trains.maintenance.series import of_same_car
+from suspnet.trains.maintenance.series import make_series
 from suspnet.trains.maintenance.state import State
 from suspnet.trains.pages.failing_sensors import dead_words, sensor_words
 
@@ -51,27 +51,17 @@ class Evaluated:
         """Whether each of its trips has an estimate."""
         return not self.error and all(result.status == OK for result in self.results)
 
-    def row(self, outputs: Sequence[str]) -> dict[str, Any]:
+    def row(self) -> dict[str, Any]:
         """Return the suspension as one flat row of the overview."""
-        state, reason = self.state, Finding("not-read", error=self.error)
-        return {
-            "suspension": self.place.suspension or self.name,
-            "bogie": self.place.bogie,
-            "side": self.place.side,
-            "train": self.place.train,
-            "car": self.place.car,
-            "severity": str(self.severity),
-            "parameter": state.parameters if state else "",
-            **{f"{name}_last": state.furthest(name) if state else np.nan for name in outputs},
-            "last_mileage_km": state.last_km if state else np.nan,
-            "n_trips": len(self.results),
-            "n_estimated": sum(r.status == OK for r in self.results),
-            "n_flagged": sum(bool(r.flags) for r in self.results),
-            "reason": state.reason if state else reason,
-            "sensors": dead_words(self.results),
-            "folder": self.name,
-            "report": "" if self.error else f"{self.name}/{REPORT}",
-        }
+        state = self.state or State(make_series([], {}, place=self.place))
+        row = _row(state, {})
+        row["where"] = row["where"] or self.name
+        row["suspension"] = self.place.suspension or self.name
+        if self.error:
+            row |= {"severity": str(self.severity), "reason": Finding("not-read", error=self.error)}
+        row["sensors"] = dead_words(self.results)
+        report = "" if self.error else f"{self.name}/{REPORT}"
+        return row | {"folder": self.name, "report": report}
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,10 +70,10 @@ class FleetView:
 
     `version` increases with each view of a board, from 0 before anything was read; `at` is in UTC.
     `states` are sorted by severity, then by life, and `rows` are their ``overview_rows``. `plan` is
-    None until remaining lives are computed. `cars` are the indices of the suspensions of each car
-    that has several, `names` the ``address`` of each suspension, and `keys` its index by this name.
-    `is_complete` is whether alarms, lives and plan cover all trips. `trouble` states why the store
-    could not be read the last time; `bad_rows` cannot be read and are left out.
+    None until remaining lives are computed. `names` are the ``address`` of each suspension, and
+    `keys` its index by this name. `is_complete` is whether alarms, lives and plan cover
+    all trips. `trouble` states why the store could not be read the last time; `bad_rows` cannot be
+    read and are left out.
     """
 
     version: int = 0
@@ -91,19 +81,24 @@ class FleetView:
     states: tuple[State, ...] = ()
     rows: list[dict[str, Any]] = field(default_factory=list)
     plan: Plan | None = None
-    cars: list[list[int]] = field(default_factory=list)
     names: tuple[str, ...] = ()
     keys: dict[str, int] = field(default_factory=dict)
-    limits: Mapping[str, Mapping[str, Limits]] = field(default_factory=dict)
     acknowledged: Mapping[Key, Sequence[Acknowledgement]] = field(default_factory=dict)
     is_complete: bool = False
     trouble: str = ""
     bad_rows: tuple[BadRow, ...] = ()
 
+    @property
+    def entries(self) -> list[tuple[str, str, State]]:
+        """Place, name in URLs and state of each suspension."""
+        return [
+            (row["where"], name, state)
+            for row, name, state in zip(self.rows, self.names, self.states, strict=True)
+        ]
+
 
 def fleet_view(
     states: Sequence[State],
-    limits: Mapping[str, Mapping[str, Limits]],
     acknowledged: Mapping[Key, Sequence[Acknowledgement]],
     plan: Plan | None,
     *,
@@ -112,18 +107,14 @@ def fleet_view(
     bad_rows: Sequence[BadRow] = (),
 ) -> FleetView:
     """Return the view of a fleet; `states` come with the most severe first."""
-    places = {id(state.series): i for i, state in enumerate(states)}
-    cars = of_same_car([state.series for state in states])
     names = tuple(address(state.key) for state in states)
     return FleetView(
         version=version,
         states=tuple(states),
         rows=overview_rows(states, acknowledged),
         plan=plan,
-        cars=[[places[id(series)] for series in car] for car in cars],
         names=names,
         keys={name: i for i, name in enumerate(names)},
-        limits=limits,
         acknowledged=acknowledged,
         is_complete=is_complete,
         bad_rows=tuple(bad_rows),

@@ -15,7 +15,6 @@ from matplotlib.figure import Figure
 from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import BODY_MASS, KIND_NAMES, Severity, part_words
 from suspnet.ground.records import INTERVAL_LEVEL, OK, Commissioning, TripResult, by_mileage
-from suspnet.ground.storage import write_atomically
 from suspnet.ground.wording import span, thousands, unbroken
 from suspnet.runs.figures import data_uri
 from suspnet.runs.language import N_, decimal, gettext, spoken
@@ -26,7 +25,7 @@ from suspnet.trains.maintenance.state import State
 from suspnet.trains.pages.bogie import bogie_of, small_figures, why_no_part
 from suspnet.trains.pages.failing_sensors import failing_words
 from suspnet.trains.pages.tables import sensor_rows, trip_table
-from suspnet.trains.pages.templates import KILO, SEVERITIES, render, with_unit
+from suspnet.trains.pages.templates import KILO, SEVERITIES, with_unit, write_page
 
 ROLES = {
     "k_p": N_(", between axle box and bogie frame."),
@@ -59,13 +58,6 @@ CAPTIONS = {
             "Grey is the range of the measured vibration, red its mean. A channel that is flat, "
             "cut off at a straight edge, or unlike the others points to a sensor, not to the "
             "suspension."
-        ),
-    ),
-    "quality": (
-        N_("Quality of the recordings"),
-        N_(
-            "More averages, a coherence nearer to 1 and a larger usable share make the estimates "
-            "of a trip more certain."
         ),
     ),
 }
@@ -121,7 +113,7 @@ def write_report(
 ) -> Path:
     """Write one self-contained HTML file atomically; return its path.
 
-    The figures "trend", "responses", "signals" and "quality" come first, in this order and with an
+    The figures "trend", "responses" and "signals" come first, in this order and with an
     explanation; others follow under their own names. `small` are the trends of each parameter where
     parts of a bogie are read.
     """
@@ -132,22 +124,28 @@ def write_report(
     # remarks on the trips, each a sentence or empty
     doubts, unread = _doubts(trips), _unread(trips)
     wheels, dead = wheels_finding(trips), failing_words(trips)
-    worn = worn_finding(trips)
+    worn = _on_last(trips, "worn", "worn-on")
     table = trip_table(trips, report.outputs, report.level)
     # captions explain intervals and flags only where there are any
     shown = {
         "intervals": gettext(INTERVALS_SHOWN).format(level=table.level) if table.level else "",
         "flags": gettext(FLAGS_SHOWN) if doubts else "",
     }
+    order = [name for name in CAPTIONS if name in figures]
+    embedded = {
+        name: _embedded(name, figures[name], shown) for name in dict.fromkeys([*order, *figures])
+    }
     alarms = sorted(state.watched.alarms, key=lambda a: (not a.is_open, -a.severity, a.begin_km))
     tone = SEVERITIES[severity][0]
-    remarks = (doubts, unread, findings, worn, wheels, dead)
-    page = render(
+    # without an alarm but with remarks the page is neutral
+    is_neutral = tone == "good" and any((doubts, unread, findings, worn, wheels, dead))
+    drawn_parts = {name: data_uri(figure) for name, figure in (small or {}).items()}
+    return write_page(
+        path,
         "report.html",
         title=title,
         headline=_headline(trips),
-        # without an alarm but with remarks the page is neutral
-        tone="plain" if tone == "good" and any(remarks) else tone,
+        tone="plain" if is_neutral else tone,
         named=named_first(assessments, trips),
         finding=finding,
         doubts=doubts,
@@ -161,11 +159,10 @@ def write_report(
         alarms=[(alarm, newest_of(alarm, report.seen)) for alarm in alarms],
         bogie=bogie_of(state),
         no_part=why_no_part(trips, report.outputs),
-        small=small_figures(
-            state, {name: data_uri(drawn) for name, drawn in (small or {}).items()}
-        ),
+        small=small_figures(state, drawn_parts),
         small_words=gettext(SMALL_SHOWN).format(**shown),
-        figures=[_embedded(name, figures[name], shown) for name in _ordered(figures)],
+        trend=embedded.pop("trend", None),
+        figures=list(embedded.values()),
         table=table,
         sensors=sensor_rows(state.series),
         since_when=_since_when(report.commissionings, state.series.events),
@@ -176,7 +173,6 @@ def write_report(
         roles=ROLES,
         details=report.details,
     )
-    return write_atomically(path, page.encode("utf-8", errors="replace"))
 
 
 def named_first(assessments: Sequence[Assessment], trips: Sequence[TripResult]) -> str:
@@ -202,25 +198,18 @@ def named_first(assessments: Sequence[Assessment], trips: Sequence[TripResult]) 
     return f"{text} ({where})"
 
 
-def worn_finding(trips: Sequence[TripResult]) -> str:
-    """Return a sentence on the worn parts of a bogie, from the last trips; empty without any.
-
-    `trips` are in the order of the mileage.
-    """
-    on, words = _on_last(trips, "worn")
-    return words and Finding("worn-on", trips=on, words=words)
-
-
-def _on_last(trips: Sequence[TripResult], name: str) -> tuple[str, str]:
-    """Return on which of the last trips a field has text, and the newest; empty without any."""
+def _on_last(trips: Sequence[TripResult], name: str, kind: str) -> str:
+    """Return a sentence on those of the last trips of which a field has text; empty without any."""
     last = [r for r in trips if r.status == OK][-N_LAST:]
     affected = [r for r in last if getattr(r, name)]
     if not affected:
-        return "", ""
+        return ""
     on = Finding("last-trip")
     if len(last) > 1:
         on = Finding("last-trips", n=len(affected), n_last=len(last))
-    return Finding("on-newest", trips=on, trip=affected[-1].trip), getattr(affected[-1], name)
+    newest = affected[-1]
+    on = Finding("on-newest", trips=on, trip=newest.trip)
+    return Finding(kind, trips=on, words=getattr(newest, name))
 
 
 def wheels_finding(trips: Sequence[TripResult]) -> str:
@@ -253,26 +242,25 @@ def _headline(trips: Sequence[TripResult]) -> dict[str, str]:
         ends = span(thousands(min(mileage)), thousands(max(mileage)))
         between = unbroken(f"{spoken(ends)} km")
     starts = sorted(r.start for r in trips if r.start)
-    dates = spoken(span(starts[0][:10], starts[-1][:10])) if starts else ""
-    done = sum(r.status == OK for r in trips)
-    flagged = sum(bool(r.flags) for r in trips)
+    counts = gettext("%(n)s, of which %(done)s with an estimate") % {
+        "n": len(trips),
+        "done": sum(r.status == OK for r in trips),
+    }
+    if n_flagged := sum(bool(r.flags) for r in trips):
+        counts += ", " + gettext("%(n)s of these flagged") % {"n": n_flagged}
     misfits = [r.quality.misfit for r in trips if math.isfinite(r.quality.misfit)]
     misfit = ""
     if misfits:
-        ends = span(*(f"{of(misfits):.2f}" for of in (min, max)))
-        misfit = gettext("%(between)s times the noise; 1 is noise alone") % {
-            "between": spoken(ends)
-        }
+        ends = span(f"{min(misfits):.2f}", f"{max(misfits):.2f}")
+        noise = gettext("%(between)s times the noise; 1 is noise alone")
+        misfit = noise % {"between": spoken(ends)}
+    places = dict.fromkeys(spoken(str(r.place)) for r in trips if r.place.suspension)
     texts = {
         N_("Vehicle"): ", ".join(dict.fromkeys(r.vehicle for r in trips if r.vehicle)),
-        N_("Suspension"): "; ".join(
-            dict.fromkeys(spoken(str(r.place)) for r in trips if r.place.suspension)
-        ),
+        N_("Suspension"): "; ".join(places),
         N_("Mileage"): between,
-        N_("Dates"): dates,
-        N_("Trips"): gettext("%(n)s, of which %(done)s with an estimate")
-        % {"n": len(trips), "done": done}
-        + (", " + gettext("%(n)s of these flagged") % {"n": flagged} if flagged else ""),
+        N_("Dates"): spoken(span(starts[0][:10], starts[-1][:10])) if starts else "",
+        N_("Trips"): counts,
         N_("Misfit"): misfit,
     }
     return {label: text for label, text in texts.items() if text}
@@ -302,11 +290,6 @@ def _commonest(reasons: Iterable[str]) -> str:
     """Return the reason that most trips have."""
     (most, n), *others = Counter(reasons).most_common()
     return Finding("n-of-them", n=n, words=most) if others else most
-
-
-def _ordered(figures: Mapping[str, Figure]) -> list[str]:
-    explained = [name for name in CAPTIONS if name in figures]
-    return explained + [name for name in figures if name not in CAPTIONS]
 
 
 def _embedded(name: str, figure: Figure, shown: Mapping[str, str]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Tables of a suspension's trips, sensors and frequency responses."""
+"""Tables of a suspension's trips and sensors."""
 
 from __future__ import annotations
 
@@ -7,20 +7,16 @@ import statistics
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS
-from suspnet.ground.records import OK, TripCurves, TripResult
-from suspnet.ground.types import FloatArray
-from suspnet.ground.wording import files_of, kilometres
+from suspnet.ground.records import OK, TripResult
+from suspnet.ground.wording import files_of
 from suspnet.runs.language import N_
 from suspnet.trains.maintenance.series import Series
-
-if TYPE_CHECKING:  # the history imports SQLAlchemy, 0.4 s
-    from suspnet.trains.history.arrays import TripResponses
 
 
 @dataclass(frozen=True)
@@ -137,50 +133,3 @@ def files_read_as(results: Sequence[TripResult]) -> dict[str, str]:
             words = Finding("on-trips", words=words, n=n)
         remarks.append(words)
     return {N_("files read as"): together(remarks, " · ")} if remarks else {}
-
-
-SUSPENSION_NAMES = (
-    "primary suspension: axle box to bogie frame",
-    "secondary suspension: frame to car body",
-)
-BAND = 1.96  # standard deviations on each side that hold 95 % of normally distributed values
-LARGEST_BAND = 3.0  # half width of a drawn band in log-magnitude; wider would flatten the axis
-
-
-@dataclass(frozen=True, eq=False)
-class ResponseCurves:
-    """How the two suspensions amplified vibration on one trip.
-
-    `frequencies_hz`: (n_freq,) [Hz]. `magnitudes`, `coherences`, `low` and `high` are (2, n_freq),
-    of primary and secondary suspension; `low` and `high` are the ends of the 95 % band, NaN where
-    it is unknown.
-    """
-
-    trip: str
-    mileage_km: float
-    frequencies_hz: FloatArray
-    magnitudes: FloatArray
-    coherences: FloatArray
-    low: FloatArray
-    high: FloatArray
-
-    def __str__(self) -> str:
-        return f"{self.trip}, {kilometres(self.mileage_km)}"
-
-
-def response(trip: str, mileage_km: float, curves: TripCurves | TripResponses) -> ResponseCurves:
-    """Return the response that is shown of a trip's curves."""
-    magnitudes = np.abs(curves.responses)
-    ends = band(magnitudes, curves.deviations)
-    shared = curves.frequencies_hz, magnitudes, curves.coherences
-    return ResponseCurves(trip, mileage_km, *shared, *ends)
-
-
-def band(magnitudes: FloatArray, deviations: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the ends of the 95 % band around magnitudes; NaN where a deviation is not finite.
-
-    Deviations are standard deviations of the log-magnitude.
-    """
-    finite = np.where(np.isfinite(deviations), deviations, np.nan)
-    half = np.minimum(BAND * finite, LARGEST_BAND)
-    return magnitudes * np.exp(-half), magnitudes * np.exp(half)

@@ -6,6 +6,7 @@ import math
 import re
 from functools import cache
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FunctionLoader, StrictUndefined
@@ -22,6 +23,7 @@ from suspnet.ground.parameters import (
     part_words,
     place_words,
 )
+from suspnet.ground.storage import write_atomically
 from suspnet.ground.wording import NO_NUMBER, number, thousands, unbroken
 from suspnet.runs.language import N_, current, decimal, gettext, install, spoken
 from suspnet.trains.maintenance.judge import ABSURD
@@ -51,14 +53,13 @@ OPTIONS: dict[str, Any] = {
 
 
 @cache
-def environment(*packages: str) -> Environment:
-    """Return the environment of the templates of packages, then of this one: the first one counts.
+def environment() -> Environment:
+    """Return the environment of the templates of this package.
 
     All pages of a process share it: to compile the templates of a page takes longer than to fill
     them in.
     """
-    loader = FunctionLoader(lambda name: packaged(name, *packages))
-    created = Environment(autoescape=True, loader=loader, **OPTIONS)
+    created = Environment(autoescape=True, loader=FunctionLoader(packaged), **OPTIONS)
     equip(created)
     return created
 
@@ -70,9 +71,15 @@ def equip(environment: Environment) -> None:
     environment.globals |= GLOBALS
 
 
-def render(template: str, package: str = PACKAGE, **values: Any) -> str:
-    """Return an HTML template of a package, filled in; it may include those of this package."""
-    return environment(package).get_template(template).render(**values)
+def render(template: str, **values: Any) -> str:
+    """Return an HTML template, filled in."""
+    return environment().get_template(template).render(**values)
+
+
+def write_page(path: Path, template: str, **values: Any) -> Path:
+    """Write a page of this package's template atomically; return its path."""
+    page = render(template, **values)
+    return write_atomically(path, page.encode("utf-8", errors="replace"))
 
 
 def packaged(name: str, *packages: str) -> str | None:
@@ -116,10 +123,6 @@ def with_unit(number: str, name: str) -> str:
     return f"{decimal(number)}\N{NO-BREAK SPACE}{unit}"
 
 
-def _thousands(value: float) -> str:
-    return unbroken(thousands(value))
-
-
 def _to_go(life: Life | None, unknown: str = "") -> Markup:
     """Return the distance to the act limit, with the 80 % interval in small print.
 
@@ -139,7 +142,7 @@ def _to_go(life: Life | None, unknown: str = "") -> Markup:
 
 
 def _rounded(km: float) -> str:
-    return _thousands(float(f"{km:.2g}")) if math.isfinite(km) else gettext("no end")
+    return unbroken(thousands(float(f"{km:.2g}"))) if math.isfinite(km) else gettext("no end")
 
 
 def symbol(name: str) -> Markup:
@@ -182,7 +185,7 @@ FILTERS = {
     "named": named,
     "part_words": lambda name: spoken(part_words(name)),
     "plus_minus": _plus_minus,
-    "thousands": _thousands,
+    "thousands": lambda value: unbroken(thousands(value)),
     "symbol": symbol,
     "range": _range,
     "si": _si,

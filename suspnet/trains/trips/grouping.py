@@ -18,7 +18,7 @@ from suspnet.trains.recordings.manifest_files import ManifestFile, find_manifest
 log = logging.getLogger(__name__)
 TAKEN = (
     *("overview.html", "overview.csv", "overview.parquet", "config.yaml", "exit_code", "figures"),
-    *("fleet.json", "error.txt", "overview.pdf", "report.pdf", "tables.xlsx", LEDGER),
+    *("fleet.json", "error.txt", LEDGER),
 )
 """File names in the output that no suspension's folder may have."""
 
