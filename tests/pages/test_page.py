@@ -264,13 +264,15 @@ def test_limits_of_the_misfit_are_those_at_which_estimates_are_flagged(commissio
     assert said.endswith(f"above {UNTRUSTED:g} every estimate is flagged as well.")
 
 
-def test_other_minutes_than_those_of_training_are_said(commissioned):
+def test_usable_minutes_are_those_of_the_averages(commissioned):
     found = commissioned[0]
-    assert words.other_minutes(found, SETTINGS) is None
-    assert words.other_minutes(found, replace(SETTINGS, minutes=28.0)) is None
-    for minutes in (10.0, 80.0):
-        said = words.other_minutes(found, replace(SETTINGS, minutes=minutes))
-        assert said.endswith(f"for {minutes:g}: data.minutes=20 would suit them better.")
+    assert words.usable_minutes(found, SETTINGS) == pytest.approx(SETTINGS.minutes)
+    half = [
+        replace(g, spectra=replace(g.spectra, n_averages=g.spectra.n_averages / 2))
+        for g in found.groups
+    ]
+    shorter = words.usable_minutes(replace(found, groups=tuple(half)), SETTINGS)
+    assert shorter == pytest.approx(SETTINGS.minutes / 2)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from suspnet._version import __version__
 from suspnet.estimation.bogie_model import BogieModel
-from suspnet.estimation.fitted import Model
+from suspnet.estimation.fitted import FittedMethod, Model
 from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import Limits, limits_words
 from suspnet.ground.records import TripResult
