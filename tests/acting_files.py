@@ -315,11 +315,6 @@ ACTING = {
         f"mdf {version}": partial(mdf, version=version)
         for version in ("4.00", "4.20", "3.30", "3.20")
     },
-    **{
-        f"mdf 3 {name}": partial(mdf, text=FORMULAS[name], version="3.30")
-        for name in ("open", "eval", "read", "tower")
-    },
-    "mdf 3 at master": partial(mdf, version="3.30", place="master"),
     **{f"mdf xml {name}": partial(mdf_comment, text=text) for name, text in XML.items()},
     "mdf attachment": partial(mdf_attachment, embedded=True),
     "mdf other file": partial(mdf_attachment, embedded=False),
@@ -374,6 +369,6 @@ ACTING = {
 HARMLESS = (
     *("mdf xml laughs", "mdf xml entity", "mdf attachment", "mdf other file", "hdf5 references"),
     *("tdms index", "tdms Formula", "tdms Python", "tdms Add", "tdms Table", "parquet extension"),
-    *("mdf at second group", "mdf at master", "mdf 3 at master", "uff"),
+    *("mdf at second group", "mdf at master", "uff"),
 )
 """Those in which a column may be read, as what would act is beside it and ignored."""

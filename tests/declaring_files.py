@@ -119,25 +119,6 @@ def parquet_columns(folder: Path, *, n_columns: int) -> Path:
     return folder / "data.parquet"
 
 
-# WAV
-
-
-def wav(
-    folder: Path, *, n_bytes: int, bits: int = 16, form: int = 1, channels: int = 1, rf64=False
-):
-    """Write a WAV file that is one hole."""
-    path, frame = folder / "data.wav", bits // 8 * channels
-    size = 2**32 - 1 if rf64 else n_bytes
-    head = b"RF64" if rf64 else b"RIFF"
-    head += struct.pack("<I", min(n_bytes + 36, 2**32 - 1)) + b"WAVE"
-    if rf64:
-        head += b"ds64" + struct.pack("<IQQQI", 28, n_bytes + 72, n_bytes, n_bytes // frame, 0)
-    head += b"fmt " + struct.pack("<IHHIIHH", 16, form, channels, 1000, 1000 * frame, frame, bits)
-    path.write_bytes(head + b"data" + struct.pack("<I", size))
-    os.truncate(path, path.stat().st_size + n_bytes)
-    return path
-
-
 # TDMS, MDF, UFF, CSV
 
 
@@ -279,13 +260,6 @@ DECLARING = {
     **{f"parquet of {n:.0e}": partial(parquet, n=n) for n in (10**8, 10**9)},
     "parquet of zeros": partial(parquet, n=2 * 10**8, kind="zero"),
     "parquet of columns": partial(parquet_columns, n_columns=2000),
-    **{
-        f"wav of {bits} bits, {form}": partial(wav, n_bytes=4 * 10**9, bits=bits, form=form)
-        for bits, form in ((8, 1), (16, 1), (24, 1), (32, 1), (32, 3), (64, 3))
-    },
-    "wav of channels": partial(wav, n_bytes=4 * 10**9, channels=2),
-    "wav of 24 bits, 0.2 GB": partial(wav, n_bytes=3 * 6 * 10**7, bits=24, channels=1),
-    "wav of a terabyte": partial(wav, n_bytes=10**12, rf64=True),
     **{f"tdms of {n:.0e}": partial(tdms, n=n) for n in (10**9, 10**11, 2**63)},
     **{f"tdms with a hole, {n:.0e}": partial(tdms, n=n, hole=8 * n) for n in (10**8, 10**10)},
     **{f"mdf of {n:.0e}": partial(mdf, n=n) for n in (10**8, 10**11, 2**62)},
@@ -305,6 +279,6 @@ DECLARING = {
 }
 WITHIN_BOUNDS = (
     *("mdf packed, 1e+10", "mdf packed, 1e+15", "hdf5 notes", "parquet of columns"),
-    *("tdms of 1e+09", "tdms of 1e+11", "uff of 1e+08", "uff of 9e+09", "wav of 24 bits, 0.2 GB"),
+    *("tdms of 1e+09", "tdms of 1e+11", "uff of 1e+08", "uff of 9e+09"),
 )
 """Those in which a column may be read: what is there of it is no longer than recordings are."""

@@ -20,7 +20,7 @@ from suspnet.ground import ledger
 from suspnet.ground.storage import write_atomically
 from suspnet.trains.recordings.manifest import CHANNELS
 from suspnet.trains.recordings.manifest_files import read_manifest
-from suspnet.trains.trips.trip_files import find_tables, find_trip_files
+from suspnet.trains.trips.trip_files import find_trip_files
 from suspnet.vehicle import Vehicle
 
 WORDS = ("Achslager", "Rahmen", "Wagenkasten")
@@ -137,7 +137,7 @@ def test_columns_of_unclear_names_are_said_once(tmp_path):
     written(tmp_path, *SAID, "mileage_km=7", *said)
     text = (tmp_path / "run.yaml").read_text()
     assert text.count("# by the command line") == 8
-    assert text.count("# unit m/s2 by the command line; rate by the command line;") == 4
+    assert text.count("# unit m/s2 by the command line; rate by the command line\n") == 4
     found = read_manifest(tmp_path / "run.yaml")
     assert [one.column for one in found.channels["axle_box"]] == ["ch0", "ch3"]
     assert [found.channels[name].column for name in CHANNELS[1:]] == ["ch1", "ch2"]
@@ -166,7 +166,7 @@ def test_files_are_grouped_by_trip_and_folder(tmp_path):
     for name in names:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
-    found = find_trip_files(tmp_path)
+    found, _ = find_trip_files(tmp_path)
     got = {one.path.relative_to(tmp_path).as_posix(): len(one.files) for one in found}
     assert got == {"a/run_1.yaml": 3, "a/run_2.yaml": 1, "a/run_10.yaml": 1, "b/trip 3.yaml": 2}
     assert list(got)[:3] == ["a/run_1.yaml", "a/run_2.yaml", "a/run_10.yaml"]
@@ -276,7 +276,7 @@ def test_data_files_that_are_not_read_are_named(tmp_path):
     (tmp_path / "a" / "b" / "c").mkdir(parents=True)
     for name in ("1.lvm", "2.LVM", "run.d7d", "notes.pdf", "odd.xyz"):
         (tmp_path / name).write_text("x")
-    line = "1.lvm and 1 more, {0}/odd.xyz, {0}/run.d7d; export them to one of .asc, .csv"
+    line = "1.lvm, {0}/2.LVM, {0}/odd.xyz, {0}/run.d7d; export them to one of .asc, .csv"
     line = line.format(tmp_path)
     done = typed(init, tmp_path, cwd=tmp_path)
     assert f"holds no data file; not read: {tmp_path}/{line}" in done.stderr
@@ -358,37 +358,6 @@ def test_mistakes_in_a_vehicle_are_one_line(tmp_path, words, said):
     assert not list(tmp_path.iterdir())
 
 
-def test_table_of_trips_among_the_recordings_is_no_recording(tmp_path):
-    table = "file;mileage_km;direction\n{};1000;forward\n"
-    for name in ("run_1", "run_2"):
-        write_plain(tmp_path / f"{name}.parquet")
-    (tmp_path / "trips.csv").write_text(table.format("run_1.parquet"))
-    write_plain(tmp_path / "more" / "run_3.parquet")
-    (tmp_path / "more" / "Fahrten.csv").write_text("Fahrt;km-Stand\nrun_3;30\n")
-    write_german(tmp_path / "run_4.csv", columns={"trip": np.arange(400), "file": np.ones(400)})
-    assert [path.name for path in find_tables(tmp_path)] == ["Fahrten.csv", "trips.csv"]
-    done = typed(init, tmp_path, *SAID, cwd=tmp_path)
-    assert "4 trips in" in done.stdout
-    assert "trips.csv is a table of trips, which --table" in done.stdout
-    assert "more/Fahrten.csv is a table of trips, which --table" in done.stdout
-    (tmp_path / "run_4.csv").unlink()
-    table = ("--table", tmp_path / "trips.csv")
-    words = typed(init, tmp_path, *SAID, *table, cwd=tmp_path).stdout
-    assert "3 trips in" in words
-    assert "trips.csv is a table" not in words
-    assert "mileage_km (in 2 of them)" in words
-
-
-@pytest.mark.parametrize(
-    "content", [b"", b"file\n", b"file;x\n\0;\xff\n", b"\xef\xbb\xbffile\nother\n"]
-)
-def test_whatever_is_no_table_of_these_trips_stays_a_recording(tmp_path, content):
-    write_plain(tmp_path / "run_1.parquet")
-    (tmp_path / "odd.csv").write_bytes(content)
-    assert find_tables(tmp_path) == []
-    assert len(find_trip_files(tmp_path)) == 2
-
-
 def test_own_vehicle_is_found_in_a_folder_here_or_asked_for(tmp_path):
     write_plain(tmp_path / "car 7" / "run_1.parquet")
     said = ("car 7", "vehicle=metro", *SAID[1:], "mileage_km=1")
@@ -409,21 +378,6 @@ def test_own_vehicle_is_found_in_a_folder_here_or_asked_for(tmp_path):
     assert "`vehicle` is given twice" in wrong.stderr
     manifest = (tmp_path / "car 7" / "run_1.yaml").read_text()
     assert "run: suspnet check 'car 7/run_1.yaml' --config-dir mine\n" in manifest
-
-
-def test_the_bogie_of_each_of_several_folders_has_a_command(tmp_path):
-    for car, km in (("car 1", 100), ("car 2", 200)):
-        path = tmp_path / "log" / car / f"run {km} km.csv"
-        path.parent.mkdir(parents=True)
-        write_german(path, above=[f"Kilometerstand;{km} km", ""])
-    done = typed(init, "log", *SAID, cwd=tmp_path)
-    assert done.stderr == ""
-    (line,) = [one for one in done.stdout.splitlines() if "of log/car 2 alone: " in one]
-    command = shlex.split(line.partition(": ")[2].removesuffix(" (or trailing)"))
-    assert command[:4] == ["suspnet", "init", "log/car 2", "--force"]
-    typed(init, *command[2:], cwd=tmp_path)
-    found = [read_manifest(*(tmp_path / "log" / car).glob("*.yaml")) for car in ("car 1", "car 2")]
-    assert [one.bogie for one in found] == [None, "leading"]
 
 
 def test_the_train_of_several_suspensions_is_asked_for(tmp_path):

@@ -16,9 +16,9 @@ from suspnet.trains.recordings.clocks import Zero, first_moment
 from suspnet.trains.recordings.dates import date_in_lines, date_problem, read_date
 from suspnet.trains.recordings.manifest_files import read_manifest
 from suspnet.trains.recordings.recording import load_recording
-from suspnet.trains.trips.file_contents import look_into
-from suspnet.trains.trips.manifest_template import template
+from suspnet.trains.trips.folder_manifests import folder_manifests
 from suspnet.trains.trips.trip import evaluate_trip
+from suspnet.trains.trips.trip_files import TripFiles
 
 START = datetime(2024, 5, 6, 8, 15, 30)
 FIRST_S = 1714983330
@@ -54,7 +54,6 @@ def write(kind, folder):
         "tdms waveform": {"start": np.datetime64(START)},
         "mf4 header": {"start": START.replace(tzinfo=UTC)},
         "uff header": {"date": "06-May-24 08:15:30"},
-        "wav broadcast": {"date": "2024-05-0608:15:30"},
     }
     if kind == "mat struct":
         savemat(path, {"log": {"fs": 250.0, "start_time": START.isoformat()} | columns()})
@@ -69,18 +68,21 @@ def write(kind, folder):
 ZONED = ("parquet utc", "parquet numbers", "tdms waveform", "mf4 header")
 LOCAL = (
     *("parquet stamps", "csv stamps", "csv header", "csv two lines", "mat struct"),
-    *("h5 attribute", "uff header", "wav broadcast"),
+    *("h5 attribute", "uff header"),
 )
 
 
-# reference
+def known_of(*files):
+    """Return what is known of a trip of some files."""
+    (trip,) = folder_manifests([TripFiles(files[0], files)], files[0].parent, {}, {})
+    return trip.known
 
 
 @pytest.mark.parametrize("kind", [*ZONED, *LOCAL])
 def test_start_of_a_manifest_is_that_of_its_files(kind, tmp_path):
-    text = template(look_into(write(kind, tmp_path))[0], tmp_path / "trip.yaml").text
-    zone = "+00:00" if kind in ZONED else ""
-    assert f"\nstart: 2024-05-06T08:15:30{zone}  # by the files" in text
+    start = known_of(write(kind, tmp_path))["start"]
+    assert start.value == f"2024-05-06T08:15:30{'+00:00' if kind in ZONED else ''}"
+    assert start.source.startswith("by the files")
 
 
 @pytest.mark.parametrize(
@@ -146,8 +148,7 @@ def test_date_of_files_that_cannot_be_right_is_left_out_with_a_note(trip, tmp_pa
     assert recording.started is None
     assert f"the date by its files, {start.isoformat(' ')}, is left out" in recording.words
     parquet_of(np.datetime64(start, "ns"), tmp_path / "trip.parquet")
-    text = template(look_into(tmp_path / "trip.parquet")[0], tmp_path / "x.yaml").text
-    assert f"\n# start: 2015-08-03T08:00:00  # the date by its files, {start}" in text
+    assert "start" not in known_of(tmp_path / "trip.parquet")
 
 
 def test_today_is_the_clock_of_this_computer(monkeypatch):
@@ -172,8 +173,4 @@ def test_exact_times_come_before_dates_and_known_zones_before_others():
 def test_start_is_left_to_the_user_where_some_files_have_no_times(tmp_path):
     parquet_of(np.datetime64(START, "ns"), tmp_path / "a.parquet")
     pq.write_table(pa.table({"body": columns()["bogie"]}), tmp_path / "b.parquet")
-    signals = [one for name in "ab" for one in look_into(tmp_path / f"{name}.parquet")[0]]
-    text = template(signals, tmp_path / "trip.yaml").text
-    assert (
-        "\n# start: 2024-05-06T08:15:30  # by some of the files; when do the others start" in text
-    )
+    assert "start" not in known_of(tmp_path / "a.parquet", tmp_path / "b.parquet")

@@ -26,9 +26,7 @@ The longest are 500 MB of packed zeros, unpacked twice; the first file starts th
 MOST_OWN_BYTES, MOST_READER_BYTES = 0.6e9, 1.7e9
 """Largest memory of the process that asks and of a reader, their libraries (0.2 GB) included."""
 FEW_ACTING = ("mdf system", "mdf 3.30", "hdf5 external file", "tdms index")
-FEW_DECLARING = (
-    *("hdf5 of 1e+11", "mat of 1e+08", "wav of 16 bits, 1", "pipe as .csv", "mdf of 1e+11"),
-)
+FEW_DECLARING = ("hdf5 of 1e+11", "mat of 1e+08", "pipe as .csv", "mdf of 1e+11")
 
 
 @pytest.fixture

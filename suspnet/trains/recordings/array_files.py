@@ -28,7 +28,6 @@ from suspnet.trains.recordings.columns import (
     size_of,
     slices,
 )
-from suspnet.trains.recordings.dates import nanoseconds, read_date
 from suspnet.trains.recordings.errors import TripError
 
 RATE_NAMES = ("ratehz", "fs", "samplerate", "samplingrate", "samplefrequency", "samplingfrequency")
@@ -40,20 +39,15 @@ NUMERIC = ("single", "double", *(f"{u}int{bits}" for u in ("", "u") for bits in 
 """Classes of MAT file variables that hold numbers."""
 MOST_COLUMNS = 1000
 """Largest number of columns of a matrix, and of cells of a variable of MATLAB."""
-MOST_CELLS = 4
-"""Largest number of cells within cells."""
-MISSING_NAMES = ("_FillValue", "missing_value")
-PACKING = (*MISSING_NAMES, *("scale_factor", "add_offset", "valid_min", "valid_max", "valid_range"))
-"""Attributes of netCDF on missing samples, scale, offset and valid limits of stored numbers."""
+FILL_NAMES = ("_FillValue", "missing_value")
+"""Attributes that state which stored number means a missing sample."""
 UNAPPLIED = (
-    *(re.sub("_", "", name).lower() for name in PACKING),
+    *("scalefactor", "addoffset", "unsigned", "validmin", "validmax", "validrange"),
     *("gain", "scale", "scaling", "scalingfactor", "multiplier", "slope", "lsb", "sensitivity"),
     *("offset", "intercept", "calibration", "calibrationfactor"),
 )
-"""Attributes of no convention, compared as `RATE_NAMES`, but for those of `PACKING` as they stand:
-the stored numbers may or may not have been multiplied by them."""
-_SINCE = re.compile(r"(\w+)\s+since\s+(.+?)(\s+UTC|\s+Z)?$")
-"""Unit of times of netCDF: a unit and the date from which times are counted, in UTC."""
+"""Attributes that change what stored numbers mean, compared as `RATE_NAMES`. The first six are of
+netCDF and refused; the others are of no convention: numbers may have been multiplied by them."""
 _OTHER_KIND = re.compile(r"(.*[./])?(t|v|[^./]*(time|zeit|speed|geschw|veloc)[^./]*)")
 """Names of times and speeds, in lower case."""
 FILTERS = (1, 2, 3, 4, 5, 6, 32000)
@@ -101,7 +95,7 @@ class _Content:
             if why := foreign(item) or _no_data(item):
                 self.unread[name] = why
             elif self.h5py.check_ref_dtype(item.dtype) is self.h5py.Reference:
-                self._collect_cells(name, item)
+                raise ValueError("references")
             else:
                 self._collect_data(name, item)
         except Exception as error:  # types without an equivalent; HDF5 raises any error
@@ -111,30 +105,19 @@ class _Content:
     def _collect_data(self, name: str, item: Any) -> None:
         """Add a data set, or the fields of a table."""
         self.datasets[name] = item
-        applied = () if item.dtype.names else PACKING
-        unapplied = (key for key in item.attrs if key not in applied and _plain(key) in UNAPPLIED)
-        self.unapplied += [repr(f"{name}.{key}") for key in unapplied]
+        stated = {_plain(key): key for key in item.attrs}
+        if refused := [stated[key] for key in UNAPPLIED[:6] if key in stated]:
+            raise ValueError(f"{name} with the attribute {refused[0]}")
+        self.unapplied += [repr(f"{name}.{stated[key]}") for key in UNAPPLIED if key in stated]
         if "MATLAB_empty" in item.attrs or "MATLAB_int_decode" in item.attrs:
             return
         fields = {f"{name}.{field}": _field(item, field) for field in item.dtype.names or ()}
         for place, array in (fields or {name: item}).items():
             if not (why := _no_numbers(array)):
                 self.datasets[place] = item
-                self.arrays[place] = array if fields else _packed(item, self.h5py)
+                self.arrays[place] = array if fields else _filled(item, self.h5py)
             elif why.strip():
                 self.unread[place] = why
-
-    def _collect_cells(self, name: str, item: Any) -> None:
-        """Add the content of MATLAB's cells, to which references lead."""
-        if item.size > MOST_COLUMNS or name.count("[") >= MOST_CELLS:
-            raise ValueError("nested references")
-        for i, reference in enumerate(item[()].ravel()):
-            content = self.file[reference] if reference else None
-            if content is None or not content.name.startswith("/#"):
-                continue
-            self.collect(f"{name}[{i}]", content)
-            if isinstance(content, self.h5py.Group):
-                content.visititems(lambda end, item, i=i: self.collect(f"{name}[{i}]/{end}", item))
 
     def described(self, name: str) -> dict[str, Any]:
         """Return rate, unit and start by a data set's attributes, or else by its group."""
@@ -146,18 +129,7 @@ class _Content:
             for key, dataset in _siblings(name, "/", self.datasets).items()
             if dataset.nbytes <= MOST_NOTE_BYTES
         }
-        return _stated_nearby(name, small) | self._times(name) | own
-
-    def _times(self, name: str) -> dict[str, str]:
-        """Return the data set of times that netCDF attaches to the dimension of another one."""
-        item = self.datasets[name]
-        with suppress(Exception):
-            scales = item.dims[int(np.argmax(item.shape))]
-            times = scales[0].name.lstrip("/") if len(scales) else name
-            unit = _stated(_attributes(self.datasets[times])).get("unit")
-            if times != name and times in self.arrays and size_of("time", unit):
-                return {"time": times}
-        return {}
+        return _stated_nearby(name, small) | own
 
 
 def _no_data(dataset: Any) -> str:
@@ -215,57 +187,23 @@ def _field(dataset: Any, name: str) -> _View:
     )
 
 
-def _packed(dataset: Any, h5py: Any) -> Any:
-    """Return a data set with scale, offset and missing samples as its attributes mean them."""
+def _filled(dataset: Any, h5py: Any) -> Any:
+    """Return a data set with NaN in place of the values that its attributes call missing."""
     own = _attributes(dataset)
-    numbers = {key: np.array(own[key], np.float64, ndmin=1) for key in PACKING if key in own}
-    missing = [numbers[name] for name in MISSING_NAMES if name in numbers]
+    missing = [np.array(own[name], dataset.dtype, ndmin=1) for name in FILL_NAMES if name in own]
     chosen = dataset.id.get_create_plist().fill_value_defined()
     # 0 may be a sample as well
     if chosen == h5py.h5d.FILL_VALUE_USER_DEFINED and dataset.fillvalue != 0:
-        missing.append(np.array([dataset.fillvalue], dtype=np.float64))
-    is_unsigned = dataset.dtype.kind == "i" and str(own.get("_Unsigned")).lower() == "true"
-    if not numbers and not missing and not is_unsigned:
+        missing.append(np.array([dataset.fillvalue]))
+    if not missing:
         return dataset
-
-    def as_stored(values: Any) -> Any:
-        """Return values that samples are compared with, rounded and with the sign of these."""
-        if is_unsigned:
-            return np.where(values < 0, values + 2.0 ** (8 * dataset.dtype.itemsize), values)
-        kind = dataset.dtype if dataset.dtype.kind == "f" else np.float64
-        with np.errstate(over="ignore"):
-            return values.astype(kind).astype(np.float64)
-
-    # limits and missing values are those of stored numbers; infinite limits have no sign to change
-    limits = numbers.get("valid_range", np.array([-np.inf, np.inf]))
-    ends = numbers.get("valid_min", limits)[0], numbers.get("valid_max", limits)[-1]
-    lower, upper = (as_stored(np.array([end]))[0] if np.isfinite(end) else end for end in ends)
-    left_out = np.concatenate([[np.nan], *map(as_stored, missing)])
-    across = 1 - int(np.argmax(dataset.shape))  # columns lie along the shorter axis
-    scale, offset = _scale_and_offset(dataset, numbers, across)
+    left_out = np.concatenate(missing)
 
     def take(rows: Any) -> Any:
         stored = np.asarray(dataset[rows])
-        if is_unsigned:
-            stored = stored.astype(f"u{stored.dtype.itemsize}")
-        values = stored.astype(np.float64)
-        is_valid = (values >= lower) & (values <= upper) & ~np.isin(values, left_out)
-        a, b = (each[rows[across] if len(each) > 1 else 0] for each in (scale, offset))
-        return np.where(is_valid, values * a + b, np.nan)
+        return np.where(np.isin(stored, left_out), np.nan, stored.astype(np.float64))
 
     return _View(dataset.shape, dataset.dtype, take)
-
-
-def _scale_and_offset(dataset: Any, numbers: Mapping[str, Any], across: int) -> tuple[Any, Any]:
-    """Return scale and offset, one for all columns or one each; ValueError if they are wrong."""
-    scale = numbers.get("scale_factor", np.ones(1))
-    offset = numbers.get("add_offset", np.zeros(1))
-    n_columns = 1 if is_vector(dataset.shape) else dataset.shape[across]
-    for name, values in (("scale_factor", scale), ("add_offset", offset)):
-        is_right = np.isfinite(values).all() and (values.all() or name == "add_offset")
-        if values.shape not in ((1,), (n_columns,)) or not is_right:
-            raise ValueError(f"its {name} is {values}")
-    return scale, offset
 
 
 def foreign(dataset: Any) -> str:
@@ -327,10 +265,7 @@ def open_mat(path: Path) -> Iterator[OpenFile]:
         elif why.strip():
             refused[name] = why
     # values next to an array state its rate, unit and start
-    descriptions = {
-        name: _stated_nearby(name, _siblings(name, ".", leaves)) | _simulink_time(name, leaves)
-        for name in arrays
-    }
+    descriptions = {name: _stated_nearby(name, _siblings(name, ".", leaves)) for name in arrays}
     yield _opened(path, arrays, descriptions, refused)
 
 
@@ -353,14 +288,8 @@ def _variables(path: Path) -> tuple[list[tuple[str, tuple[int, ...], str]], dict
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
     """Yield the content of structs and cells of MATLAB, by its path."""
     if isinstance(value, mat_struct):
-        is_signal = {"values", "dimensions"} <= set(value._fieldnames)
         for field in value._fieldnames:
-            if is_signal and field == "dimensions":
-                continue
-            # what Simulink calls a signal is its label
-            label = getattr(value, "label", "") if field == "values" else ""
-            last = label if isinstance(label, str) and label else field
-            yield from _leaves(f"{name}.{last}", getattr(value, field))
+            yield from _leaves(f"{name}.{field}", getattr(value, field))
     elif (
         isinstance(value, np.ndarray)
         and value.dtype == object
@@ -370,13 +299,6 @@ def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
             yield from _leaves(f"{name}[{i}]", cell)
     else:
         yield name, value
-
-
-def _simulink_time(name: str, leaves: Mapping[str, Any]) -> dict[str, str]:
-    """Return the times of a signal of Simulink's structure with time."""
-    whole, is_signal, _ = name.partition(".signals")
-    time = f"{whole}.time"
-    return {"time": time} if is_signal and np.size(leaves.get(time, ())) > 1 else {}
 
 
 @dataclass(frozen=True)
@@ -450,8 +372,7 @@ def _attributes(dataset: Any) -> dict[str, Any]:
     """Return the small attributes of a data set, or of a file."""
     attributes: dict[str, Any] = {}
     for key in dataset.attrs:
-        # a type without an equivalent matters where it is the scale
-        with suppress(*([] if key in PACKING else [Exception])):
+        with suppress(*([] if key in FILL_NAMES else [Exception])):  # of types without equivalent
             if dataset.attrs.get_id(key).get_storage_size() <= MOST_NOTE_BYTES:
                 attributes[key] = dataset.attrs[key]
     return attributes
@@ -492,7 +413,4 @@ def _stated(values: Mapping[str, Any]) -> dict[str, Any]:
             text = text.decode("utf-8", "replace") if isinstance(text, bytes) else text
             if isinstance(text, str) and text.strip():
                 stated["unit" if plain in UNIT_NAMES else "date"] = text.strip()
-    since = _SINCE.match(stated.get("unit", ""))
-    if since and (start := read_date(since[2])):
-        stated |= {"unit": since[1], "start_ns": nanoseconds(start)}
     return stated

@@ -49,10 +49,6 @@ class Column:
         It holds time stamps rather than numbers; they are in UTC rather than an unknown zone.
     is_by_name : bool
         It is read only by its name, as a column of a matrix, or a stated rate.
-    is_whole_rate : bool
-        The format stores the rate as a whole number.
-    full_scale : float or None
-        Largest value of integers that represent a fraction of the range.
     date : str or None
         Start of the recording as written in a header, too coarse to align clocks.
     unread : str
@@ -67,8 +63,6 @@ class Column:
     is_time: bool = False
     is_zoned: bool = False
     is_by_name: bool = False
-    is_whole_rate: bool = False
-    full_scale: float | None = None
     date: str | None = None
     unread: str = ""
     is_local: bool = False

@@ -1,9 +1,8 @@
-"""Channels of TDMS, UFF and WAV files, with the rates, units and times that they state."""
+"""Channels of TDMS and UFF files, with the rates, units and times that they state."""
 
 from __future__ import annotations
 
 import re
-import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -11,33 +10,23 @@ from importlib import import_module
 from itertools import pairwise
 from logging import CRITICAL, getLogger
 from pathlib import Path
-from threading import Lock
 from typing import Any
 
 import numpy as np
-from scipy.io import wavfile
 
 from suspnet.ground.extras import import_extra
 from suspnet.ground.findings import Finding
-from suspnet.ground.types import FloatArray
 from suspnet.trains.recordings.columns import (
-    BLOCK,
     MOST_DRIFT,
     Block,
     Column,
     OpenFile,
     Take,
-    as_block,
-    check_samples,
     size_of,
     slices,
 )
 from suspnet.trains.recordings.errors import TripError
 
-_WAV = Lock()
-"""Lock for warning filters, which are global to the process, while sensors are read in threads."""
-BEXT_DATE = slice(320, 338)
-"""Bytes of the chunk `bext` that hold date and time of day, yyyy-mm-dd and hh:mm:ss."""
 TIME_RESPONSE = 1
 """Function type of a time record in a data set 58 of a universal file."""
 ACCELERATION, TIME = 12, 17
@@ -45,8 +34,8 @@ ACCELERATION, TIME = 12, 17
 LENGTHS = {1: "m", 2: "ft", 3: "m", 4: "ft", 5: "mm", 6: "cm", 7: "in", 8: "mm", 10: "mm"}
 """Unit of lengths by the code of a data set 164, which holds where a data set 58 names no unit."""
 LEAST_GAP_S = 1e-3
-"""Least sum of the times from the end of a segment of a TDMS file to the start of the next, [s]:
-less is inexact time stamps."""
+"""Least time between the end of a segment of a TDMS file and the start of the next that is a gap,
+[s]: less is inexact time stamps."""
 _FIXED = re.compile("wf_increment|unit_string|NI_(Scal|Unit|Number_Of_S)")
 """Properties of a TDMS channel that must be the same in all segments: rate, unit and scales."""
 Stated = list[tuple[int, dict[str, Any]]]
@@ -72,13 +61,8 @@ def open_tdms(path: Path) -> Iterator[OpenFile]:
         for name, channel in zip(names, channels, strict=True):
             # "a/b" and "c" are called as "a" and "b/c": TDMS itself writes these as paths
             name = channel.path if n_of_name[name] > 1 else name
-            column, starts = _tdms_column(name, channel, stated.get(channel.path, []))
-            columns.append(column)
+            columns.append(_tdms_column(name, channel, stated.get(channel.path, [])))
             takes[name] = len(channel), channel.__getitem__
-            if column.time is not None:
-                columns.append(Column(column.time, unit="s", is_by_name=True))
-                takes[column.time] = len(channel), _times_of_segments(starts, channel)
-
         notes = tuple(f"{name}: {value}" for name, value in file.properties.items())
         yield OpenFile(tuple(columns), lambda names: slices(path, names, takes), notes=notes)
 
@@ -103,30 +87,23 @@ def _properties_of_segments() -> Iterator[dict[str, Stated]]:
         reader._read_segment_metadata = original
 
 
-def _tdms_column(name: str, channel: Any, stated: Stated) -> tuple[Column, list[tuple[int, float]]]:
-    """Return a channel, and the first sample and the time of each stretch of it, [s].
-
-    There is one stretch unless the logger was stopped and started again.
-    """
+def _tdms_column(name: str, channel: Any, stated: Stated) -> Column:
     properties = channel.properties
     step_s = properties.get("wf_increment")
     unit = properties.get("unit_string") or properties.get("NI_UnitDescription")
     kind = np.dtype(channel.dtype)
     has_rate = isinstance(step_s, float | int) and 1e-9 < step_s < 1e9
     starts_ns = _starts_ns(stated, len(channel))
-    starts, overlap = _stretches(starts_ns, step_s) if has_rate else ([], "")
-    is_read = kind.kind in "iufM"
-    column = Column(
+    unread = _changed(stated) or (_interrupted(starts_ns, step_s) if has_rate else "")
+    return Column(
         name,
         unit=str(unit) if unit else None,
         rate_hz=1 / step_s if has_rate else None,
-        time=f"{name}: times" if len(starts) > 1 else None,
         start_ns=starts_ns[0][1] if starts_ns else None,
         is_time=kind.kind == "M",
         is_zoned=kind.kind == "M",  # LabVIEW writes time stamps in UTC
-        unread=(_changed(stated) or overlap) if is_read else f"holds {kind}, not numbers",
+        unread=unread if kind.kind in "iufM" else f"holds {kind}, not numbers",
     )
-    return column, starts
 
 
 def _changed(stated: Stated) -> str:
@@ -139,25 +116,17 @@ def _changed(stated: Stated) -> str:
     return ""
 
 
-def _stretches(
-    starts_ns: Sequence[tuple[int, int]], step_s: float
-) -> tuple[list[tuple[int, float]], str]:
-    """Return the first sample and the time of each stretch of a channel, [s], and which overlap."""
-    stretches = [(0, 0.0)]
-    least_s = max(LEAST_GAP_S, step_s / 2)
-    for (n, ns), (n_next, next_ns) in pairwise(starts_ns):
-        end_ns = ns + round(1e9 * (n_next - n) * step_s)
-        gap_s = (next_ns - end_ns) / 1e9
-        n_last, last_s = stretches[-1]
-        length_s = (n_next - n_last) * step_s
-        start_s = (next_ns - starts_ns[0][1]) / 1e9
-        late_s = start_s - last_s - length_s  # short pauses and overlaps add up
-        if min(gap_s, late_s + MOST_DRIFT * length_s) < -least_s:
-            before, after = (np.datetime64(round(ns / 1000), "us") for ns in (end_ns, next_ns))
-            return stretches, Finding("segments-overlap", before=before, after=after)
-        if late_s > least_s:
-            stretches.append((n_next, start_s))
-    return stretches, ""
+def _interrupted(starts_ns: Sequence[tuple[int, int]], step_s: float) -> str:
+    """Return where a segment does not follow the one before it, nor the first; empty if all do."""
+    for previous, (n_next, next_ns) in pairwise(starts_ns):
+        for n, ns in (previous, starts_ns[0]):  # short pauses add up
+            length_s = (n_next - n) * step_s
+            late_s = (next_ns - ns) / 1e9 - length_s
+            if abs(late_s) > max(LEAST_GAP_S, step_s / 2) + MOST_DRIFT * length_s:
+                end_ns = next_ns - round(1e9 * late_s)
+                before, after = (np.datetime64(round(at / 1000), "us") for at in (end_ns, next_ns))
+                return Finding("segments-interrupted", before=before, after=after)
+    return ""
 
 
 def _starts_ns(stated: Stated, n_samples: int) -> list[tuple[int, int]]:
@@ -177,19 +146,6 @@ def _starts_ns(stated: Stated, n_samples: int) -> list[tuple[int, int]]:
             starts.pop()
         starts.append((n if starts else 0, ns))
     return starts
-
-
-def _times_of_segments(starts: Sequence[tuple[int, float]], channel: Any) -> Take:
-    """Return the function that takes times of a channel of several stretches, [s]."""
-    firsts, starts_s = np.array(starts).T
-    step_s = channel.properties["wf_increment"]
-
-    def take(rows: slice) -> FloatArray:
-        numbers = np.arange(rows.start, rows.stop)
-        i = np.searchsorted(firsts, numbers, side="right") - 1
-        return np.asarray(starts_s[i] + (numbers - firsts[i]) * step_s)
-
-    return take
 
 
 @contextmanager
@@ -259,49 +215,3 @@ def _text(header: Mapping[str, Any], key: str) -> str:
     """Return a text of a header; empty where it is "NONE"."""
     text = str(header.get(key, "")).strip()
     return "" if text.upper() == "NONE" else text
-
-
-@contextmanager
-def open_wav(path: Path) -> Iterator[OpenFile]:
-    """Open a WAV file; columns are "channel_1" etc., integers are fractions of full scale."""
-    with _WAV, warnings.catch_warnings(), path.open("rb") as stream:
-        warnings.simplefilter("ignore", wavfile.WavFileWarning)  # of unknown chunks
-        warnings.filterwarnings("error", "Reached EOF", wavfile.WavFileWarning)
-        try:
-            rate_hz, data = wavfile.read(stream, mmap=True)
-        except ValueError as error:
-            if "not compatible" not in str(error):
-                raise
-            stream.seek(0)
-            rate_hz, data = wavfile.read(stream)  # 24 bits cannot be mapped to memory
-    check_samples(path, len(data))
-    data = data[:, None] if data.ndim == 1 else data
-    names = [f"channel_{i + 1}" for i in range(data.shape[1])]
-    full_scale, zero = None, 0.0
-    if data.dtype.kind in "iu":
-        zero = 128.0 if data.dtype.kind == "u" else 0.0
-        full_scale = 2.0 ** (8 * data.dtype.itemsize - 1)
-    about: dict[str, Any] = {"full_scale": full_scale, "date": _bext_date(path)}
-    columns = [Column(n, rate_hz=float(rate_hz), is_whole_rate=True, **about) for n in names]
-
-    def read(chosen: Sequence[str]) -> Iterator[Block]:
-        places = [names.index(name) for name in chosen]
-        for start in range(0, len(data), BLOCK):
-            block = as_block(data[start : start + BLOCK])
-            block = block if full_scale is None else (block - zero) / full_scale
-            yield tuple(np.ascontiguousarray(block[:, i]) for i in places)
-
-    yield OpenFile(tuple(columns), read)
-
-
-def _bext_date(path: Path) -> str | None:
-    """Return the date of origin in a broadcast WAV file's chunk `bext`; None without one."""
-    with path.open("rb") as stream:
-        stream.seek(12)  # after RIFF, size and WAVE
-        while len(head := stream.read(8)) == 8:  # ends: each round advances
-            size = int.from_bytes(head[4:], "little")
-            if head[:4] == b"bext":
-                text = stream.read(min(size, BEXT_DATE.stop))[BEXT_DATE].decode("ascii", "replace")
-                return f"{re.sub('[_:. ]', '-', text[:10])} {text[10:].strip()}"
-            stream.seek(size + size % 2, 1)
-    return None

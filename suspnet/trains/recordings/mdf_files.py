@@ -1,4 +1,4 @@
-"""Channels of MDF files with their arithmetic conversions; formulas are not evaluated."""
+"""Channels of MDF 4 files with their arithmetic conversions; formulas are not evaluated."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from datetime import datetime
 from importlib import import_module
 from io import BytesIO
 from logging import CRITICAL, getLogger
@@ -23,30 +22,23 @@ from suspnet.trains.recordings.columns import Block, Column, OpenFile, Take, sli
 from suspnet.trains.recordings.dates import nanoseconds
 from suspnet.trains.recordings.errors import TripError
 
-RATIONAL = {"4": 2, "3": 9}
-RANGES = {"4": 6}
-APPLIED = {"4": (0, 1, 2, 4, 5, 6), "3": (65535, 0, 1, 2, 9)}
-"""Numbers of the conversions that are applied, in MDF 4, and in MDF 2 and 3: none, linear,
-rational, a table with and without interpolation, and a table of ranges."""
+APPLIED = (0, 1, 2, 4, 5, 6)
+"""Numbers of the conversions that are applied: none, linear, rational, a table with and without
+interpolation, and a table of ranges."""
+RATIONAL, RANGES = 2, 6
 REFUSED = {
-    "4": {
-        **{3: "algebraic (a formula)", 7: "value-to-text", 8: "range-to-text"},
-        **{9: "text-to-value", 10: "text-to-text", 11: "bit-field-to-text"},
-    },
-    "3": {
-        **{6: "polynomial", 7: "exponential", 8: "logarithmic", 10: "algebraic (a formula)"},
-        **{11: "value-to-text", 12: "range-to-text", 132: "date", 133: "time"},
-    },
+    **{3: "algebraic (a formula)", 7: "value-to-text", 8: "range-to-text"},
+    **{9: "text-to-value", 10: "text-to-text", 11: "bit-field-to-text"},
 }
-"""Names of unsupported conversions by their numbers in MDF 4, and in MDF 2 and 3."""
+"""Names of unsupported conversions by their numbers."""
 VIRTUAL = (3, 6)
-"""Types of MDF 4 channels whose raw values are the record numbers."""
+"""Types of channels whose raw values are the record numbers."""
 TIME = 1
-"""Kind of MDF 4 masters that are times."""
+"""Kind of masters that are times."""
 NO_TIMES = {2: "angle", 3: "distance"}
-"""Kinds of MDF 4 masters along which channels are not sampled in time."""
+"""Kinds of masters along which channels are not sampled in time."""
 ALL_INVALID = 1
-"""Flag of MDF 4 channels without a valid sample."""
+"""Flag of channels without a valid sample."""
 
 
 @contextmanager
@@ -54,6 +46,10 @@ def open_mdf(path: Path) -> Iterator[OpenFile]:
     """Open an MDF file; each channel group has its own times."""
     asammdf = import_extra("asammdf", "mdf", f"{path}: an MDF file", TripError)
     _disarm()
+    with path.open("rb") as stream:
+        version = stream.read(12)[8:].decode("latin-1")
+    if "0" < version < "4":
+        raise TripError.at(path, "mdf-too-old", version=version)
     with path.open("rb") as stream, _opened_mdf(asammdf, stream) as file:
         places: dict[str, tuple[int, int]] = {}
         columns: list[Column] = []
@@ -81,10 +77,10 @@ def _columns(file: Any, g: int, names: Sequence[str]) -> Iterator[Column]:
     """Yield the channels of a group as the file describes them."""
     start = _start(file)
     master, kind = file.masters_db.get(g), TIME
-    if master is not None and file.version >= "4":
+    if master is not None:
         kind = file.groups[g].channels[master].sync_type or TIME
     for c, (name, channel) in enumerate(zip(names, file.groups[g].channels, strict=True)):
-        unit, refused = _unit(file.version, channel), _refused(file.version, channel)
+        unit, refused = _unit(channel), _refused(channel)
         if c == master:
             unit = unit or ("s" if kind == TIME else None)
             yield Column(name, unit=unit, unread=refused, is_local=start.get("is_local", False))
@@ -97,36 +93,25 @@ def _columns(file: Any, g: int, names: Sequence[str]) -> Iterator[Column]:
 
 def _start(file: Any) -> dict[str, Any]:
     """Return the start of a file, and whether it is local, as arguments of `Column`, if stated."""
-    start = None
-    if file.version >= "4" or getattr(file.header, "abs_time", 0):
-        start = file.start_time
-    else:
-        with suppress(ValueError):  # asammdf takes the present, and this computer's zone
-            text = f"{file.header.date.decode('ascii')} {file.header.time.decode('ascii')}"
-            start = datetime.strptime(text, "%d:%m:%Y %H:%M:%S")
-    if start is None or (start_ns := nanoseconds(start)) <= 0:
+    if (start_ns := nanoseconds(file.start_time)) <= 0:
         return {}
-    return {"start_ns": start_ns, "is_local": start.tzinfo is None}
+    return {"start_ns": start_ns, "is_local": file.start_time.tzinfo is None}
 
 
-def _unit(version: str, channel: Any) -> str | None:
+def _unit(channel: Any) -> str | None:
     """Return the unit of a channel, or else, where it refers to none, that of its conversion."""
-    is_open = version < "4" or channel.unit_addr == 0
-    return channel.unit or (getattr(channel.conversion, "unit", None) if is_open else None) or None
+    other = getattr(channel.conversion, "unit", None) if channel.unit_addr == 0 else None
+    return channel.unit or other or None
 
 
-def _major(version: str) -> str:
-    return "4" if version >= "4" else "3"
-
-
-def _refused(version: str, channel: Any) -> str:
+def _refused(channel: Any) -> str:
     """Return why the conversion of a channel is not applied; empty if it is."""
     if channel.conversion is None:  # asammdf also leaves out one that it cannot read
         return Finding("damaged-conversion") if channel.conversion_addr else ""
-    major, number = _major(version), int(channel.conversion.conversion_type)
-    if number in APPLIED[major]:
+    number = int(channel.conversion.conversion_type)
+    if number in APPLIED:
         return ""
-    what = REFUSED[major].get(number, Finding("number-of-kind", n=number))
+    what = REFUSED.get(number, Finding("number-of-kind", n=number))
     return Finding("conversion-not-applied", what=what)
 
 
@@ -176,21 +161,18 @@ def _opened_mdf(asammdf: Any, stream: BinaryIO) -> Any:
 def _take(path: Path, file: Any, name: str, group: int, index: int) -> Take:
     """Return the function that takes physical values of a channel; NaN where they are invalid."""
     channel = file.groups[group].channels[index]
-    is_newer = file.version >= "4"
 
     def take(rows: slice) -> FloatArray:
-        numbers = np.arange(rows.start, rows.stop, dtype=np.float64)
-        if not is_newer and index == file.masters_db.get(group) and channel.bit_count == 0:
-            return numbers * (channel.sampling_rate or 1)
         # raw values, and the mask of invalid ones, which would otherwise be left out
         how = {"samples_only": True, "raw": True, "ignore_invalidation_bits": True}
         records = {"record_offset": rows.start, "record_count": rows.stop - rows.start}
         values, invalid = file.get(group=group, index=index, **how, **records)
         if values.dtype.kind not in "iufb" or values.ndim != 1:
             raise TripError.at(path, "column-not-numbers", name=repr(name), dtype=values.dtype)
-        is_virtual = is_newer and channel.channel_type in VIRTUAL
-        values = _converted(numbers if is_virtual else values, channel.conversion, file.version)
-        if is_newer and channel.flags & ALL_INVALID:
+        if channel.channel_type in VIRTUAL:
+            values = np.arange(rows.start, rows.stop, dtype=np.float64)
+        values = _converted(values, channel.conversion)
+        if channel.flags & ALL_INVALID:
             values[:] = np.nan
         elif invalid is not None:
             values[np.asarray(invalid, dtype=np.bool_)] = np.nan
@@ -199,7 +181,7 @@ def _take(path: Path, file: Any, name: str, group: int, index: int) -> Take:
     return take
 
 
-def _converted(values: Any, conversion: Any, version: str) -> FloatArray:
+def _converted(values: Any, conversion: Any) -> FloatArray:
     """Return the physical values of raw ones.
 
     Those that asammdf evaluates as formulas, or wrongly for integers, are computed here.
@@ -208,12 +190,12 @@ def _converted(values: Any, conversion: Any, version: str) -> FloatArray:
     if conversion is None:
         return numbers
     kind = int(conversion.conversion_type)
-    if kind == RATIONAL[_major(version)]:
+    if kind == RATIONAL:
         p = [float(getattr(conversion, f"P{i}")) for i in range(1, 7)]
         with np.errstate(all="ignore"):  # NaN or infinite where the divisor is 0
             above, below = (a * numbers**2 + b * numbers + c for a, b, c in (p[:3], p[3:]))
             return np.asarray(above / below)
-    if kind == RANGES.get(_major(version)):
+    if kind == RANGES:
         return _in_ranges(conversion, values)
     return np.asarray(conversion.convert(numbers))
 

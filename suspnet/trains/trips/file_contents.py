@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -20,8 +19,8 @@ from suspnet.trains.recordings.manifest import CHANNELS
 from suspnet.trains.recordings.manifest_sources import TIME_UNITS, FileSource
 
 ACCELERATION, SPEED = "acceleration", "speed"
-ABOUT_TRIP = ("mileage_km", "direction")
-"""Keys of a manifest that columns may state."""
+MILEAGE = "mileage_km"
+"""The key of a manifest that a column may state."""
 MOST_COLUMNS = 500
 """Largest number of columns of a file that are inspected."""
 MOSTLY_RISING = 0.99
@@ -125,29 +124,23 @@ class Signal:
     `unit` is as the file or the column's name writes it. `rate_hz` is stated by the file or
     computed from its times; NaN if unknown. `time` is the column of its times, empty if it has none
     or the file states the rate, and `time_unit` their unit if only their column's name states it.
-    `mean` and `deviation` are those of the first samples, `first` is the first of them. `zero` is
-    when its times start, as far as the file states it. `names` serve to guess its meaning: its own,
-    with and without its group's, and that of a file with at most two columns or with columns that
-    name no channel. `axle` is 1 or 2 of the bogie where this was said, else 0; `range` is the
-    sensor's where said, else NaN. `said` are the keys, unit and rate_hz, that the user said,
-    `untimed` is why its column of times is not used.
+    `zero` is when its times start, as far as the file states it. `names` serve to guess its
+    meaning: its own, with and without its group's, and that of a file with at most two columns or
+    with columns that name no channel. `first` is the first sample. `axle` is 1 or 2 of the bogie
+    where the user stated it, else 0; `said` are the keys, unit and rate_hz, that the user stated.
     """
 
     file: Path
     column: Column
     unit: str
     rate_hz: float
-    time: str
-    time_unit: str
-    mean: float
-    deviation: float
+    time: str = ""
+    time_unit: str = ""
     zero: Zero = field(default_factory=Zero)
     names: tuple[str, ...] = ()
     first: float = np.nan
     axle: int = 0
-    range: float = np.nan
     said: tuple[str, ...] = ()
-    untimed: str = ""
 
     @property
     def name(self) -> str:
@@ -162,6 +155,8 @@ class Signal:
     @property
     def meaning(self) -> str:
         """Channel or speed, by names and unit; empty if these do not show it."""
+        if key_of(self.name) == MILEAGE:
+            return ""
         # DG1 is that of a body in "DG1 Wagenkasten", and the place itself in "DG1_L"
         unnumbered = (re.sub(r"\d+", " ", name) for name in self.names)
         guess = guessed_meaning(*self.names) or guessed_meaning(*unnumbered)
@@ -178,21 +173,16 @@ class Signal:
 
 @dataclass(frozen=True)
 class Contents:
-    """Columns of numbers of a file, how it is read if that was detected, and its logger's notes."""
+    """Columns of numbers of a file, how it is read if that was detected, and its logger's notes.
+
+    `untimed` is why its column of times is not used, empty if it is or there is none.
+    """
 
     file: Path
     signals: tuple[Signal, ...]
     read_as: str = ""
     notes: tuple[str, ...] = ()
-
-
-def look_into(file: Path) -> tuple[list[Signal], str]:
-    """Return the columns of numbers of a file, without times, and how the file is read.
-
-    TripError is raised if the file cannot be read, or holds no column of numbers.
-    """
-    contents = contents_of(file)
-    return list(contents.signals), contents.read_as
+    untimed: str = ""
 
 
 def contents_of(file: Path) -> Contents:
@@ -222,11 +212,9 @@ def contents_of(file: Path) -> Contents:
     if len(signals) <= len(SIDES) or not (is_bogie or has_channels):
         signals = [_named_by_its_file(signal) for signal in signals]
     untimed = next(iter(falls.values()), "") if not times else ""
-    if untimed:
-        signals = [s if np.isfinite(s.rate_hz) else replace(s, untimed=untimed) for s in signals]
-    words = [opened.words, f"{file.name}: not read: {refused}" if refused else ""]
-    words += dict.fromkeys(signal.untimed for signal in signals)
-    return Contents(file, tuple(signals), "; ".join(filter(None, words)), opened.notes)
+    words = [opened.words, f"{file.name}: not read: {refused}" if refused else "", untimed]
+    read_as = "; ".join(filter(None, words))
+    return Contents(file, tuple(signals), read_as, opened.notes, untimed)
 
 
 def _named_by_its_file(signal: Signal) -> Signal:
@@ -236,12 +224,12 @@ def _named_by_its_file(signal: Signal) -> Signal:
     return replace(signal, names=(*signal.names, signal.file.stem))
 
 
-def _first(file: Path, opened: OpenFile, names: Sequence[str]) -> tuple[FloatArray, ...]:
-    """Return the first block of some columns; empty if one does not hold numbers."""
+def _first(file: Path, opened: OpenFile, name: str) -> FloatArray:
+    """Return the first samples of a column; empty if it cannot be read."""
     try:
-        return next(iter(read_columns(file, opened, names)))
+        return next(iter(read_columns(file, opened, [name])))[0]
     except TripError:
-        return ()
+        return np.empty(0)
 
 
 def _times(file: Path, opened: OpenFile, name: str) -> tuple[FloatArray, str]:
@@ -249,7 +237,7 @@ def _times(file: Path, opened: OpenFile, name: str) -> tuple[FloatArray, str]:
 
     Some may be missing, and a clock may start again. Why times do not increase is returned too.
     """
-    (block,) = _first(file, opened, [name]) or (np.empty(0),)
+    block = _first(file, opened, name)
     if block.dtype.kind == "M":
         block = block[~np.isnat(block)]
         block = np.asarray((block - block[0]) / np.timedelta64(1, "s") if len(block) else [])
@@ -270,13 +258,10 @@ def _signal(
     file: Path, opened: OpenFile, column: Column, times: dict[str, FloatArray]
 ) -> Signal | None:
     """Return what is known about a column; None if it holds no numbers, or one that is no key."""
-    blocks = _first(file, opened, [column.name])
-    if not blocks or blocks[0].dtype.kind != "f":
-        return None
-    if len(blocks[0]) < 2 and key_of(column.name) not in ABOUT_TRIP:
+    values = _first(file, opened, column.name)
+    if values.dtype.kind != "f" or len(values) < 1 + (key_of(column.name) != MILEAGE):
         return None
     # the rate is the file's, else that of the column's own or the first shared times
-    values = blocks[0][np.isfinite(blocks[0])]
     time, time_unit, rate_hz = "", "", column.rate_hz
     if rate_hz is None:
         shared = (name for name in times if not opened.column(name).is_by_name)
@@ -286,6 +271,7 @@ def _signal(
         stated = opened.column(time).unit or unit_in_name(time)
         time_unit = "" if stated else likely_time_unit(rate_hz)
         rate_hz /= TIME_UNITS[time_unit or "s"]
+    finite = values[np.isfinite(values)]
     return Signal(
         file=file,
         column=column,
@@ -293,26 +279,19 @@ def _signal(
         rate_hz=rate_hz,
         time=time,
         time_unit=time_unit,
-        mean=float(values.mean()) if len(values) else np.nan,
-        deviation=float(values.std()) if len(values) else np.nan,
         zero=_zero(file, opened, column, time, time_unit),
         names=(column.name.rpartition("/")[2], column.name),
-        first=float(values[0]) if len(values) else np.nan,
+        first=float(finite[0]) if len(finite) else np.nan,
     )
 
 
 def _zero(file: Path, opened: OpenFile, column: Column, time: str, time_unit: str) -> Zero:
     if not time:
         return Zero(column.start_ns, not column.is_local, True, header_date(column))
-    times = Times(
-        str(file),
-        FileSource(str(file), time_unit=time_unit or None),
-        opened.column(time),
-        column.start_ns,
-    )
+    source = FileSource(str(file), time_unit=time_unit or None)
+    times = Times(str(file), source, opened.column(time), column.start_ns)
     try:
-        for block in _first(file, opened, [time]):
-            times.seconds(block)
+        times.seconds(_first(file, opened, time))
     except TripError:
         return Zero(date=header_date(column))
     return replace(times.zero, date=header_date(column))
