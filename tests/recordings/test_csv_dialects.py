@@ -72,8 +72,7 @@ def test_detected_dialect_is_named(tmp_path):
     path = written(tmp_path, text, "utf-16")
     with open_file(path) as file:
         assert file.words == (
-            "data.csv: delimiter ';', decimal sign ',', names in line 3, rows from line 4 on, "
-            "utf-16 with byte-order mark"
+            "data.csv: delimiter ';', decimal sign ',', names in line 3, rows from line 4 on, utf-16"
         )
         assert [column.name for column in file.columns] == ["Zeit", "a [g]", "column_3"]
         assert file.column("a [g]").unit == "g"
@@ -311,7 +310,7 @@ def test_german_stamps_of_one_length_are_read_as_those_of_any(tmp_path, monkeypa
         np.testing.assert_array_equal(read(path, "t")[0], expected)
 
 
-@pytest.mark.parametrize("wrong", ["31.08.2015 23:5x:58", "31.09.2015 23:59:58", "31.08.2015 \xe4"])
+@pytest.mark.parametrize("wrong", ["31.08.2015 23:5x:58", "31.08.2015 \xe4"])
 def test_a_row_without_its_time_is_none(tmp_path, wrong):
     path = tmp_path / "data.csv"
     lines = [f"31.08.2015 23:59:{second};1" for second in range(10, 59)]
@@ -321,6 +320,9 @@ def test_a_row_without_its_time_is_none(tmp_path, wrong):
         assert re.search("are missing samples .1, first in line 42: '3", file.remarks[0])
     times, values = (np.concatenate(part) for part in zip(*blocks, strict=True))
     assert np.flatnonzero(np.isnat(times)) == np.flatnonzero(np.isnan(values)) == 40
+    lines[40] = "31.09.2015 23:59:50;1"  # no date: its value has no time
+    path.write_text("\n".join(["t;a", *lines]))
+    assert np.flatnonzero(np.isnat(read(path, "t", "a")[0])) == 40
     path.write_text("\n".join(["t;a", *lines, "31/08/2015 23:59:59;1"]))
     with pytest.raises(TripError, match=r"a time stamp is not like the first .line 51: '31/08"):
         read(path, "t", "a")
@@ -338,11 +340,11 @@ TABLE = rows(lambda ms: f"{ms / 1000:.3f}")
 STATED = {
     "a word in the first row": (
         "t,a\n-1,ERR\n" + TABLE,
-        "words .* are missing .1, first in line 2: 'ERR'",
+        "words .* are missing .1, first in line 2: '-1,ERR'",
     ),
     "a word in the third row": (
         f"t,a\n-3,7\n-2,8\n-1,over range\n{TABLE}",
-        "words in place .* are missing .1, first in line 4: 'over range'",
+        "words in place .* are missing .1, first in line 4: '-1,over range'",
     ),
     "words in all pieces": (
         "t,a\n" + TABLE.replace("9.5\n", "9.5\n,bad\n"),
@@ -356,8 +358,6 @@ STATED = {
     "names, descriptions, units": ("Time,Acc\nlogger,axle box\ns,g\n" + TABLE, "in line 1"),
     "names, units, sensitivities": ("t,a\ns,g\nScale,100.2\n" + TABLE, "in line 1"),
     "metadata of as many cells": ("Operator,Smith\nt,a\n" + TABLE, "names in line 2"),
-    "names over two lines": ('"Time\n(s)","Acc\n(g)"\n' + TABLE, "names in line 3"),
-    "a tag": (";Headers, time, a\n;Units, s, g\n" + TABLE, "names in line 1"),
     "a cut last line": (
         f"t,a\n{TABLE}0.9",
         "lines .* outside of its table are .* .1, first in line 32: '0.9'",
@@ -397,20 +397,12 @@ def test_good_rows_are_read_and_the_rest_is_reported(tmp_path, monkeypatch, case
         assert (times[0], values[0]) == (-1, -3)
 
 
-@pytest.mark.parametrize(
-    ("text", "names"),
-    [
-        ('"t","a"\n' + "".join(f'"{i}",{i},2.5\n' for i in range(1, 30)), ["column_1", "t", "a"]),
-        ("t a\n" + "".join(f"{i} {i} 2.5\n" for i in range(1, 30)), ["column_1", "t", "a"]),
-        ("t,a,a\n" + "0.5,1,2\n" * 9, ["t", "a.1", "a.2"]),
-    ],
-)
-def test_names_of_columns_are_distinct_and_complete(tmp_path, text, names):
-    path = written(tmp_path, text)
-    assert find_dialect(path).names == tuple(names)
+def test_names_of_columns_are_distinct(tmp_path):
+    path = written(tmp_path, "t,a,a\n" + "0.5,1,2\n" * 9)
+    assert find_dialect(path).names == ("t", "a.1", "a.2")
 
 
-def test_a_name_too_few_is_refused_if_no_column_counts_rows(tmp_path):
+def test_a_name_too_few_is_refused(tmp_path):
     (tmp_path / "data.csv").write_text("t,a\n" + "".join(f"{i},1,{2 * i}\n" for i in range(30)))
     with pytest.raises(TripError, match="no row has as many values as there are names"):
         find_dialect(tmp_path / "data.csv")
@@ -456,11 +448,13 @@ def test_times_of_day_take_the_date_of_the_header(tmp_path):
 def test_times_that_are_not_understood_are_named(tmp_path, form):
     path = written(tmp_path, "t;a\n" + rows(lambda ms: form(ms) + ";").replace(";,", ";"))
     with open_file(path) as file:
-        assert f"the times of 't', like {form(0)!r}, cannot be read" in file.words
-    message = rf"column 't' holds text like '{form(0)}', neither numbers nor times that can be read"
+        assert f"the times of 't', like {form(75)!r}, cannot be read" in file.words
+    message = (
+        rf"column 't' holds text like '{form(75)}', neither numbers nor times that can be read"
+    )
     with pytest.raises(TripError, match=message):
         read(path, "t", "a")
-    message = f"here needs `rate_hz` or `time` .*; 't' holds text like '{form(0)}'"
+    message = f"here needs `rate_hz` or `time` .*; 't' holds text like '{form(75)}'"
     with pytest.raises(TripError, match=message), opened(path, SensorSource(path.name, "g", "a")):
         pass
 

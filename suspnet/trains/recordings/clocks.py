@@ -20,6 +20,7 @@ from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.trains.recordings.columns import Column, size_of
 from suspnet.trains.recordings.dates import (
     EPOCH,
+    NO_DATE,
     SECOND_NS,
     ahead_ns,
     date_problem,
@@ -30,7 +31,6 @@ from suspnet.trains.recordings.dates import (
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.manifest import TripManifest
 from suspnet.trains.recordings.manifest_sources import TIME_UNITS, FileSource
-from suspnet.trains.recordings.stamps import NO_DATE
 
 DATED_S = (3.15e8, 4.1e9)
 """Range of a first time [s] that is taken as seconds since 1970: the years 1979 to 2099."""
