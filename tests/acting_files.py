@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from recording_files import needed, write_tdms, write_uff
+from recording_files import needed, write_tdms
 from scipy.io import savemat
 
 from suspnet.trains.recordings.formats import FORMATS
@@ -280,13 +280,6 @@ def parquet_path(folder: Path) -> Path:
     return folder / "data.parquet"
 
 
-def uff(folder: Path) -> Path:
-    write_uff(folder / "data.uff", {formula(folder, TOUCH): A})
-    content = (folder / "data.uff").read_bytes()
-    (folder / "data.uff").write_bytes(content.replace(b"NONE", b"eval"))
-    return folder / "data.uff"
-
-
 def csv(folder: Path) -> Path:
     text = formula(folder, "=cmd|'touch {canary}'!A1")
     (folder / "data.csv").write_text(f"t,a\n0,1\n1,2\n2,{text}\n")
@@ -362,13 +355,12 @@ ACTING = {
     },
     "parquet extension": parquet_extension,
     "parquet path": parquet_path,
-    "uff": uff,
     "csv": csv,
     **{f"link as {suffix}": partial(linked, suffix=suffix) for suffix in SUFFIXES},
 }
 HARMLESS = (
     *("mdf xml laughs", "mdf xml entity", "mdf attachment", "mdf other file", "hdf5 references"),
     *("tdms index", "tdms Formula", "tdms Python", "tdms Add", "tdms Table", "parquet extension"),
-    *("mdf at second group", "mdf at master", "uff"),
+    *("mdf at second group", "mdf at master"),
 )
 """Those in which a column may be read, as what would act is beside it and ignored."""

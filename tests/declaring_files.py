@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from recording_files import needed, write_mdf, write_tdms, write_uff
+from recording_files import needed, write_mdf, write_tdms
 
 from suspnet.trains.recordings.formats import FORMATS
 
@@ -119,7 +119,7 @@ def parquet_columns(folder: Path, *, n_columns: int) -> Path:
     return folder / "data.parquet"
 
 
-# TDMS, MDF, UFF, CSV
+# TDMS, MDF, CSV
 
 
 def patched(path: Path, old: bytes, new: bytes) -> Path:
@@ -180,22 +180,6 @@ def mdf_packed(folder: Path, *, size: int) -> Path:
     (folder / "data.mf4").write_bytes(content)
     written.unlink()
     return folder / "data.mf4"
-
-
-def uff(folder: Path, *, n: int) -> Path:
-    """Write a universal file whose record declares n values."""
-    write_uff(folder / "data.uff", {"a": A})
-    content = (folder / "data.uff").read_bytes()
-    place = content.index(b"        50")
-    text = f"{n:10d}".encode()[-10:]
-    (folder / "data.uff").write_bytes(content[:place] + text + content[place + 10 :])
-    return folder / "data.uff"
-
-
-def uff_hole(folder: Path) -> Path:
-    write_uff(folder / "data.uff", {"a": A})
-    os.truncate(folder / "data.uff", 2**40)
-    return folder / "data.uff"
 
 
 def csv_hole(folder: Path, *, text: str, size: int = 2**40) -> Path:
@@ -265,8 +249,6 @@ DECLARING = {
     **{f"mdf of {n:.0e}": partial(mdf, n=n) for n in (10**8, 10**11, 2**62)},
     **{f"mdf with a hole, {n:.0e}": partial(mdf, n=n, hole=True) for n in (10**8, 10**10)},
     **{f"mdf packed, {size:.0e}": partial(mdf_packed, size=size) for size in (10**10, 10**15)},
-    **{f"uff of {n:.0e}": partial(uff, n=n) for n in (10**8, 9 * 10**9)},
-    "uff with a hole": uff_hole,
     "csv with a hole": partial(csv_hole, text=ROWS),
     "csv of blanks with a hole": partial(csv_hole, text=ROWS.replace(",", " ")),
     "csv that is a hole": partial(csv_hole, text=""),
@@ -279,6 +261,6 @@ DECLARING = {
 }
 WITHIN_BOUNDS = (
     *("mdf packed, 1e+10", "mdf packed, 1e+15", "hdf5 notes", "parquet of columns"),
-    *("tdms of 1e+09", "tdms of 1e+11", "uff of 1e+08", "uff of 9e+09"),
+    *("tdms of 1e+09", "tdms of 1e+11"),
 )
 """Those in which a column may be read: what is there of it is no longer than recordings are."""

@@ -60,7 +60,6 @@ def init(arguments: Namespace) -> int:
 
 
 def _write(paths: Sequence[Path], settings: Sequence[str], arguments: Namespace) -> int:
-    """Write the manifests of all trips of a folder or of files, or print what is missing."""
     # what is known of the trips: their files, the command line, and a table
     table, keys = arguments.table, folders.read_said(settings)
     if len(paths) == 1 and paths[0].is_dir():
@@ -168,7 +167,6 @@ def _vehicle_and_place(trip: folders.Trip) -> tuple[str, Place]:
 
 
 def _left_open(trips: Sequence[folders.Trip]) -> list[str]:
-    """Return a line on each of ``LEFT_OPEN`` that is not stated."""
     lines = []
     for key, words in LEFT_OPEN.items():
         if key == "train" and not lone_trains(map(_vehicle_and_place, trips)):

@@ -119,15 +119,14 @@ def test_missing_mileages_are_asked_for_in_a_table(tmp_path):
     assert [read_manifest(tmp_path / f"run_{i}.yaml").mileage_km for i in (1, 2)] == [1000.5] * 2
 
 
-def test_file_of_both_bogies_is_a_trip_of_each(tmp_path):
+def test_columns_of_both_bogies_in_one_file_are_said(tmp_path):
     names = [f"DG{bogie} {word}" for bogie in (1, 2) for word in WORDS]
     write_plain(tmp_path / "run.parquet", names)
-    (tmp_path / "km.csv").write_text("file;mileage_km\nrun.parquet;7\n")
-    written(tmp_path, *SAID, "--table", tmp_path / "km.csv")
-    for number, bogie in ((1, "leading"), (2, "trailing")):
-        found = read_manifest(tmp_path / f"run_{bogie}.yaml")
-        assert found.bogie == bogie
-        assert found.channels["body"].column == f"DG{number} Wagenkasten"
+    said = [*SAID, "mileage_km=7"]
+    assert asked(tmp_path, *said) == {f"channels.{name}" for name in CHANNELS}
+    said += [f"channels.{c}=DG2 {word}" for c, word in zip(CHANNELS, WORDS, strict=True)]
+    written(tmp_path, *said, "bogie=trailing")
+    assert read_manifest(tmp_path / "run.yaml").channels["body"].column == "DG2 Wagenkasten"
 
 
 def test_columns_of_unclear_names_are_said_once(tmp_path):
@@ -199,32 +198,6 @@ def test_two_loggers_in_one_folder_have_their_own_columns_and_bogies(tmp_path):
     assert (first.bogie, second.bogie) == ("leading", "trailing")
     assert "Achslager li [m/s²]" in str(first.channels["axle_box"])
     assert "ACC_1" in str(second.channels["axle_box"])
-
-
-@pytest.mark.parametrize(
-    ("axles", "places"),
-    [
-        ((4,), ["trailing trailing"]),
-        ((3,), ["trailing leading"]),
-        ((2,), ["leading trailing"]),
-        ((1, 4), ["leading leading", "trailing trailing"]),
-        ((3, 4), ["trailing None"]),
-    ],
-)
-def test_numbers_of_axles_name_bogie_and_axle(tmp_path, axles, places):
-    names = [f"AL{axle}_{side}" for axle in axles for side in "LR"]
-    for bogie in dict.fromkeys((axle + 1) // 2 for axle in axles):
-        names += [f"DG{bogie} {side}" for side in "LR"]
-    columns = dict.fromkeys([*names, "WK_L", "WK_R"], np.sin(np.arange(400.0)))
-    columns["mileage_km"] = np.full(400, 7.0)
-    pq.write_table(pa.table(columns), tmp_path / "run.parquet")
-    words = written(tmp_path, *SAID)
-    found = [read_manifest(path) for path in sorted(tmp_path.glob("*.yaml"))]
-    assert [f"{one.bogie} {one.axle}" for one in found] == places
-    if axles == (4,):
-        assert "axle: guess by columns named axle 4 (1)" in words
-    if axles == (3, 4):
-        assert [one.axle for one in found[0].channels["axle_box"]] == [None, None, 2, 2]
 
 
 def test_unknown_vehicles_of_loggers_are_listed_with_all_that_is_missing(tmp_path):

@@ -72,7 +72,8 @@ def test_detected_dialect_is_named(tmp_path):
     path = written(tmp_path, text, "utf-16")
     with open_file(path) as file:
         assert file.words == (
-            "data.csv: delimiter ';', decimal sign ',', names in line 3, rows from line 4 on, utf-16"
+            "data.csv: delimiter ';', decimal sign ',', names in line 3, rows from line 4 on, "
+            "utf-16"
         )
         assert [column.name for column in file.columns] == ["Zeit", "a [g]", "column_3"]
         assert file.column("a [g]").unit == "g"

@@ -53,7 +53,6 @@ def write(kind, folder):
         "h5 attribute": {"start_time": START.isoformat()},
         "tdms waveform": {"start": np.datetime64(START)},
         "mf4 header": {"start": START.replace(tzinfo=UTC)},
-        "uff header": {"date": "06-May-24 08:15:30"},
     }
     if kind == "mat struct":
         savemat(path, {"log": {"fs": 250.0, "start_time": START.isoformat()} | columns()})
@@ -68,7 +67,7 @@ def write(kind, folder):
 ZONED = ("parquet utc", "parquet numbers", "tdms waveform", "mf4 header")
 LOCAL = (
     *("parquet stamps", "csv stamps", "csv header", "csv two lines", "mat struct"),
-    *("h5 attribute", "uff header"),
+    "h5 attribute",
 )
 
 

@@ -12,11 +12,11 @@ from suspnet.trains.recordings.array_files import open_hdf5
 from suspnet.trains.recordings.columns import size_of, unit_in_name
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.formats import READERS, open_columns, open_file
-from suspnet.trains.recordings.logger_files import open_tdms, open_uff
 from suspnet.trains.recordings.manifest_sources import SensorSource, SpeedSource
 from suspnet.trains.recordings.mdf_files import open_mdf
+from suspnet.trains.recordings.tdms_files import open_tdms
 
-STATING = (".h5", ".tdms", ".mf4", ".uff")
+STATING = (".h5", ".tdms", ".mf4")
 """Formats in which unit and rate may stand."""
 
 
@@ -121,7 +121,6 @@ def test_structs_of_matlab_7_3_have_columns(tmp_path):
     [
         (".mf4", open_mdf, "asammdf", "mdf"),
         (".tdms", open_tdms, "nptdms", "tdms"),
-        (".uff", open_uff, "pyuff", "uff"),
         (".h5", open_hdf5, "h5py", "hdf5"),
     ],
 )

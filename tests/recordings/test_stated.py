@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from recording_files import needed, write_uff
+from recording_files import needed
 from scipy.io import savemat
 from scipy.sparse import csc_array
 
@@ -88,9 +88,7 @@ def test_foreign_objects_of_hdf5_are_named_and_the_rest_is_read(tmp_path):
         file["complex"], file["cube"] = 1j * VALUES, np.zeros((4, 3, 2))
         file["scaled"] = VALUES
         file["scaled"].attrs["scale_factor"] = "a half"
-        kinds = [("t", "f8"), ("a", "f4"), ("pair", "f8", 2), ("name", "S3"), ("in", [("x", "f8")])]
-        file["table"] = np.zeros(N, kinds)
-        file["table"].attrs["unit"] = "g"  # of which field?
+        file["table"] = np.zeros(N, [("t", "f8"), ("a", "f4")])
     reasons = unread(path)
     starts = {
         "moments": "cannot be read (No NumPy equivalent",
@@ -99,19 +97,14 @@ def test_foreign_objects_of_hdf5_are_named_and_the_rest_is_read(tmp_path):
         "cube": "is an array of 4 x 3 x 2; export it as columns",
         "scaled": "cannot be read (scaled with the attribute scale_factor)",
         "complex": "holds complex128, not real numbers",
-        "table.in": "",
+        "table": "holds [('t'",
     }
     assert set(reasons) == set(starts)
     assert all(reasons[name].startswith(start) for name, start in starts.items())
     with pytest.raises(TripError, match=r"a\.h5: column 'moments' cannot be read"):
         read(path, "moments")
     assert "a.h5: not read: 'complex' holds complex128" in contents_of(path).read_as
-    with open_file(path) as file:
-        fields = [column.name for column in file.columns if column.name.startswith("table")]
-        assert fields == ["table.in", "table.t", "table.a", "table.pair[0]", "table.pair[1]"]
-        assert file.column("table.a").unit is None
     np.testing.assert_array_equal(read(path, "a")[0], VALUES)
-    np.testing.assert_array_equal(read(path, "table.pair[1]")[0], 0 * VALUES)
 
 
 def test_references_and_objects_of_matlab_7_3_are_refused(tmp_path):
@@ -257,52 +250,6 @@ def test_start_of_1904_is_none(tmp_path):
     said = {"wf_start_time": np.datetime64("1904-01-01T00:00:00")}
     with open_file(tdms(tmp_path / "a.tdms", (None, said))) as file:
         assert file.column("g/a").start_ns is None
-
-
-# universal files, Parquet
-
-
-@pytest.mark.parametrize("n_declared", [5, N, 9])
-def test_points_that_universal_files_declare_count(tmp_path, n_declared):
-    path = tmp_path / "a.uff"
-    write_uff(path, {"a": VALUES})
-    form = b"%10d%10d%10d"  # kind of numbers, number of points, even spacing
-    path.write_bytes(path.read_bytes().replace(form % (4, N, 1), form % (4, n_declared, 1)))
-    if n_declared <= N:
-        np.testing.assert_array_equal(read(path, "a")[0], VALUES[:n_declared])
-    else:
-        with pytest.raises(TripError, match="column 'a' declares 9 points and holds 8: it is cut"):
-            read(path, "a")
-
-
-@pytest.mark.parametrize(
-    ("said", "unit", "rate_hz", "time_unit"),
-    [
-        ({}, None, 4.0, None),
-        ({"abscissa_axis_units_lab": "ms"}, None, 4000.0, None),
-        ({"abscissa_min": 2.5}, None, None, "s"),
-        ({"abscissa_min": 2.5, "abscissa_axis_units_lab": "ms"}, None, None, "ms"),
-        ({"ordinate_axis_units_lab": "g", "units_code": 1}, "g", 4.0, None),
-        ({"units_code": 1}, "m/s2", 4.0, None),
-        ({"units_code": 5}, "mm/s2", 4.0, None),
-        ({"abscissa_axis_units_lab": "km"}, None, None, None),
-    ],
-)
-def test_axes_of_universal_files_are_as_stated(tmp_path, said, unit, rate_hz, time_unit):
-    path = tmp_path / "a.uff"
-    write_uff(path, {"a": VALUES}, rate_hz=4.0, **said)
-    with open_file(path) as file:
-        column = file.column("a")
-        assert (column.unit, column.rate_hz) == (unit, rate_hz)
-        if time_unit:
-            assert file.column(column.time).unit == time_unit
-            np.testing.assert_allclose(read(path, column.time)[0], 2.5 + VALUES / 4)
-
-
-def test_record_along_something_else_is_refused(tmp_path):
-    write_uff(tmp_path / "a.uff", {"a": VALUES}, abscissa_spec_data_type=18)
-    with pytest.raises(TripError, match="'a' is a function of something else than time; export"):
-        read(tmp_path / "a.uff", "a")
 
 
 def test_unit_and_rate_of_parquet_are_those_of_the_column(tmp_path):

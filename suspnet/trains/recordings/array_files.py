@@ -103,7 +103,6 @@ class _Content:
             self.unread[name] = _as_numbers(Finding("unreadable-as", reason=reason))
 
     def _collect_data(self, name: str, item: Any) -> None:
-        """Add a data set, or the fields of a table."""
         self.datasets[name] = item
         stated = {_plain(key): key for key in item.attrs}
         if refused := [stated[key] for key in UNAPPLIED[:6] if key in stated]:
@@ -111,19 +110,14 @@ class _Content:
         self.unapplied += [repr(f"{name}.{stated[key]}") for key in UNAPPLIED if key in stated]
         if "MATLAB_empty" in item.attrs or "MATLAB_int_decode" in item.attrs:
             return
-        fields = {f"{name}.{field}": _field(item, field) for field in item.dtype.names or ()}
-        for place, array in (fields or {name: item}).items():
-            if not (why := _no_numbers(array)):
-                self.datasets[place] = item
-                self.arrays[place] = array if fields else _filled(item, self.h5py)
-            elif why.strip():
-                self.unread[place] = why
+        if not (why := _no_numbers(item)):
+            self.arrays[name] = _filled(item, self.h5py)
+        elif why.strip():
+            self.unread[name] = why
 
     def described(self, name: str) -> dict[str, Any]:
         """Return rate, unit and start by a data set's attributes, or else by its group."""
         own = _stated(_attributes(self.datasets[name]))
-        if self.datasets[name].dtype.names is not None:
-            own.pop("unit", None)  # a table has columns of several units
         small = {
             key: _value(dataset)
             for key, dataset in _siblings(name, "/", self.datasets).items()
@@ -175,16 +169,6 @@ class _View:
 
     def __getitem__(self, rows: Any) -> Any:
         return self.take(rows)
-
-
-def _field(dataset: Any, name: str) -> _View:
-    """Return one field of a table, that is, of a data set of compounds."""
-    kind, n = dataset.dtype[name], len(dataset.shape)
-    return _View(
-        (*dataset.shape, *kind.shape),
-        kind.base,
-        lambda rows: dataset.fields(name)[rows[:n]][(slice(None), *rows[n:])],
-    )
 
 
 def _filled(dataset: Any, h5py: Any) -> Any:
@@ -369,7 +353,6 @@ def _siblings(name: str, separator: str, values: Mapping[str, Any]) -> dict[str,
 
 
 def _attributes(dataset: Any) -> dict[str, Any]:
-    """Return the small attributes of a data set, or of a file."""
     attributes: dict[str, Any] = {}
     for key in dataset.attrs:
         with suppress(*([] if key in FILL_NAMES else [Exception])):  # of types without equivalent

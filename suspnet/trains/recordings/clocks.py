@@ -186,7 +186,6 @@ class Times:
             self.zero = Zero(first - self._offset_ns(first, zone))
 
     def _offset_ns(self, first: int, zone: str) -> int:
-        """Return how far a local time is ahead of UTC, [ns]."""
         early, late = (ahead_ns(first, time_zone(zone), fold) for fold in (0, 1))
         if early != late:
             naive = (EPOCH + timedelta(seconds=first // SECOND_NS)).replace(tzinfo=None)

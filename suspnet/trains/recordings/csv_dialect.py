@@ -196,7 +196,6 @@ def _unreadable(path: Path, reason: str) -> TripError:
 
 
 def _first_lines(path: Path, stated: CsvDialect) -> tuple[str, list[str]]:
-    """Return the encoding and the lines of the sample."""
     with path.open("rb") as stream:
         sample = stream.read(SAMPLE_BYTES)
         is_whole = not stream.read(1)
@@ -212,7 +211,6 @@ def _first_lines(path: Path, stated: CsvDialect) -> tuple[str, list[str]]:
 
 
 def _encoding(sample: bytes) -> str:
-    """Return the encoding: UTF-16 by its zero bytes, or else UTF-8 or Latin-1."""
     for bom, name in _BOMS.items():
         if sample.startswith(bom):
             return name
@@ -330,7 +328,6 @@ def _names(
 
 
 def _are_units(cells: Sequence[str]) -> bool:
-    """Return whether a line holds units: at least one known unit, and short texts only."""
     filled = [cell.strip("[]() ") for cell in cells if cell.strip("[]() ")]
     return any(is_unit(cell) for cell in filled) and all(len(cell) < 12 for cell in filled)
 

@@ -80,7 +80,6 @@ def _parquet_column(field: Any) -> Column:
 
 
 def _from_arrow(column: Any) -> NDArray[Any]:
-    """Return a column as float64, NaN where missing, or time stamps as datetime64[ns]."""
     is_time = pa.types.is_timestamp(column.type)
     numbers = column.cast(pa.timestamp("ns")) if is_time else column.cast(pa.float64(), safe=False)
     return as_block(numbers.to_numpy(zero_copy_only=False))
@@ -172,7 +171,6 @@ class _Rows:
             remarks.append(Finding("zero-bytes", name=self.path.name, n=self._n_zeros))
 
     def _pieces(self, source: Any) -> Iterator[bytes]:
-        """Yield pieces of whole lines, without zero bytes."""
         rest = b""
         while block := source.read(BLOCK_BYTES):
             self._n_zeros += block.count(0)
@@ -204,7 +202,6 @@ class _Rows:
         return block
 
     def _parsed(self, piece: bytes) -> Block:
-        """Return the columns of a piece without damage; ArrowInvalid or ValueError otherwise."""
         if self.dialect.delimiter == " ":  # a tab replaces blanks; none is left at ends of lines
             piece = re.sub(rb"(?m)^\t|\t(?=\r?$)", b"", re.sub(rb"[ \t]+", b"\t", piece))
         options = pa.csv.ReadOptions(
@@ -237,7 +234,6 @@ class _Rows:
         return np.where(is_valid, stamps.view("datetime64[ns]"), np.datetime64("NaT"))
 
     def _mended(self, text: str) -> Block:
-        """Return the columns of a piece with damage, read line by line."""
         rows: list[list[str]] = []
         lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
         for number, line in enumerate(lines, self._n_lines + 1):
@@ -311,7 +307,6 @@ class _Rows:
         self._odd[kind][0] += 1
 
     def _columns(self, rows: Sequence[Sequence[str]]) -> Block:
-        """Return rows of cells that fit as columns."""
         columns = list(zip(*rows, strict=True)) or [()] * len(self._places)
         return tuple(
             self._stamps(pa.array(cells, pa.string()), kind, is_strict=False)
@@ -321,7 +316,6 @@ class _Rows:
         )
 
     def _check(self) -> None:
-        """Raise TripError if too many lines are no rows."""
         odd = [self._odd.get(kind, (0, "")) for kind in ("lines-left-out", "damaged-rows")]
         n, first = sum(n for n, _ in odd), odd[0][1] or odd[1][1]
         if n > MOST_LEFT_OUT * self._n_rows + FOOTER_LINES:

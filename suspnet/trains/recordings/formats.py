@@ -14,10 +14,10 @@ from suspnet.trains.recordings.array_files import open_hdf5, open_mat
 from suspnet.trains.recordings.columns import BLOCK, Block, OpenFile, Reader, check_samples, choose
 from suspnet.trains.recordings.csv_files import open_csv, open_parquet
 from suspnet.trains.recordings.errors import TripError, opening
-from suspnet.trains.recordings.logger_files import open_tdms, open_uff
 from suspnet.trains.recordings.manifest_keys import CsvDialect
 from suspnet.trains.recordings.mdf_files import open_mdf
 from suspnet.trains.recordings.reader_process import in_own_process
+from suspnet.trains.recordings.tdms_files import open_tdms
 
 
 @contextmanager
@@ -58,7 +58,7 @@ def open_columns(
 
     TDMS channels are named "group/channel", columns of a matrix "name[0]", fields of a struct
     "struct.field"; None is the only column not named. Arrays are float64, NaN where missing, or
-    datetime64[ns] for time stamps. Nothing is ever unpickled. All formats except UFF and MAT
+    datetime64[ns] for time stamps. Nothing is ever unpickled. All formats except MAT
     before version 7.3 are read piece by piece, so a file may be larger than memory.
     The first block raises TripError if the file cannot be read, or a column is missing, ambiguous
     or not numeric.
@@ -119,7 +119,6 @@ FORMATS = (
     Format((".h5", ".hdf5"), open_hdf5, "h5py"),
     Format((".tdms",), open_tdms, "nptdms"),
     Format((".mf4", ".mdf"), open_mdf, "asammdf"),
-    Format((".uff", ".unv"), open_uff, "pyuff"),
 )
 READERS: dict[str, Reader] = {
     suffix: in_own_process(form.open, form.library) if form.is_confined else form.open

@@ -1,11 +1,10 @@
 """Sensors that come loose during a trip: they show noise or hum instead of the train's motion.
 
 All sensors of a suspension are excited by the same track, so an intact one is coherent with at
-least one other while the train moves, and a loose one with none. Lack of coherence alone is no
-evidence: at low speed or on smooth track all signals vanish in noise, and after a jump of its clock
-a sensor shows the same motion at another time. A sensor therefore counts as loose only where the
-others are as loud as usual, or it is far quieter than they are, and where no shift in time aligns
-its signal with theirs.
+least one other while the train moves, and a loose one with none, nor one whose clock has jumped by
+a second or more. Lack of coherence alone is no evidence: at low speed or on smooth track all
+signals vanish in noise. A sensor therefore counts as loose only where the others are as loud as
+usual, or it is far quieter than they are.
 """
 
 from __future__ import annotations
@@ -17,11 +16,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
-from scipy.ndimage import binary_opening, binary_propagation, correlate1d, uniform_filter1d
+from scipy.fft import rfft
+from scipy.ndimage import binary_propagation, correlate1d
 from scipy.signal import get_window
 
-from suspnet.ground.findings import Finding, together
+from suspnet.ground.findings import Finding
 from suspnet.ground.types import BoolArray, ComplexArray, FloatArray
 from suspnet.trains.recordings.cleaning import Fault
 from suspnet.trains.recordings.faults import runs
@@ -44,9 +43,6 @@ USUAL = -0.2
 COLLAPSED = 1.5
 """Least drop of a collapsed sensor's power below that of the quietest other [powers of ten]. Intact
 sensors that were alone reached 1.1."""
-FALLEN, FALLEN_FRAMES = 1.0, 2
-"""Least drop in single frames, and their number in a row, of a sensor that is loose too briefly for
-the coherence of an average to show it. Intact sensors of simulated trips reached 0.41."""
 SLOW_SHARE, SLOW_QUANTILE = 0.7, 0.1
 """A sensor is judged only above SLOW_SHARE times this quantile of the speeds at which it shared the
 others' motion: its signal at far lower speeds is unknown."""
@@ -55,15 +51,8 @@ MOSTLY = 0.9
 frames, while the other one does in more than half of them."""
 LEAST_FRAMES = 5
 """Least number of frames with evidence in a loose stretch."""
-SAME_MOTION = 18.0
-"""Ratio of the highest to the rms correlation over all time shifts above which two signals show the
-same motion. Simulated trips: at least 29 after a clock jump, at most 16 for noise and hum."""
 EDGE_S = 10.0
 """Uncertainty of the ends of a loose stretch: half an average plus a frame, [s]."""
-SMOOTHED_HZ = 0.25
-"""Width of the smoothing of spectra by which signals are whitened, [Hz]."""
-LISTED = 3
-"""Largest number of stretches of one sensor that are listed."""
 
 
 @dataclass(frozen=True)
@@ -72,14 +61,12 @@ class _Frames:
 
     `coherences`: (n_sensors, n_frames), mean over the band, with the most similar sensor. `levels`:
     (n_sensors, n_frames), [powers of ten], median over the band of the power relative to the usual
-    one; NaN for sensors that never share motion. `single`: the same of each frame alone, NaN where
-    a sample of it is not usable. `speeds`: (n_frames,), [m/s]. `judged`: (n_frames,), whether the
-    train moves and more than half of the averaged frames are usable.
+    one; NaN for sensors that never share motion. `speeds`: (n_frames,), [m/s]. `judged`:
+    (n_frames,), whether the train moves and more than half of the averaged frames are usable.
     """
 
     coherences: FloatArray
     levels: FloatArray
-    single: FloatArray
     speeds: FloatArray
     judged: BoolArray
 
@@ -99,31 +86,28 @@ def find_loose(
     """
     signals = np.stack(list(values.values()))
     frames = _frames(signals, usable, speed_m_per_s, rate_hz)
-    # a sensor without shared motion is loose, has a shifted clock, or there is little motion
+    # a sensor without shared motion is loose, or there is little motion
     alone = (frames.coherences < ALONE) & frames.judged
-    loose, late = _divided(signals, frames, alone, rate_hz)
-    # averages do not show short stretches, nor a sensor that is loose all along
-    fallen = _fallen(frames)
-    alone |= fallen
-    loose |= fallen | (alone & _never_shared(list(values), frames)[:, None])
+    loose = _loose(frames, alone)
+    loose |= alone & _never_shared(list(values), frames)[:, None]  # loose all along
     n = len(usable)
     faults, masks = [], np.zeros((len(values), n), dtype=np.bool_)
     for name, its, its_alone, mask in zip(values, loose, alone & loose, masks, strict=True):
         if its.any():
             mask[:] = _painted(its, n, rate_hz)
             kind = "loose-of-pair" if partner_of(name) in values else "loose"
-            words = Finding(kind, stretches=_stretches(its, its_alone, start_s))
+            seen_s = start_s + STEP_S * np.flatnonzero(its_alone)[[0, -1]]
+            words = Finding(kind, first=seen_s[0], last=seen_s[1] + FRAME_S)
             n_loose, first_s = int(np.count_nonzero(mask)), start_s + mask.argmax() / rate_hz
             seconds = n_loose / rate_hz
             faults.append(Fault(name, "loose", n_loose, seconds, first_s, False, None, words))
-    silent = np.asarray((alone & ~loose & ~late).any(axis=0))
+    silent = np.asarray((alone & ~loose).any(axis=0))
     return tuple(faults), masks, _painted(silent, n, rate_hz)
 
 
 def _frames(
     signals: FloatArray, usable: BoolArray, speed_m_per_s: FloatArray, rate_hz: float
 ) -> _Frames:
-    """Return the averages around each frame of signals (n_sensors, n)."""
     size, step = round(FRAME_S * rate_hz), round(STEP_S * rate_hz)
     inside = _in_frames(usable, size, step).all(axis=1)
     speeds = _in_frames(np.nan_to_num(speed_m_per_s), size, step).mean(axis=1)
@@ -142,8 +126,7 @@ def _frames(
     judged = (speeds > MOVING_M_PER_S) & (n_inside > 0.5 - 0.5 / N_AVERAGED)
     shares = (coherences >= SHARED) & judged
     levels = _levels(power / np.maximum(n_inside, 1 / N_AVERAGED)[:, None], shares)
-    single = _levels(np.abs(spectra) ** 2, shares & inside)
-    return _Frames(coherences, levels, np.where(inside, single, np.nan), speeds, judged)
+    return _Frames(coherences, levels, speeds, judged)
 
 
 def _levels(power: FloatArray, shares: BoolArray) -> FloatArray:
@@ -171,32 +154,24 @@ def _averaged(spectra: FloatArray | ComplexArray) -> Any:
     return correlate1d(spectra, np.full(N_AVERAGED, 1 / N_AVERAGED), axis=-2, mode="constant")
 
 
-def _divided(
-    signals: FloatArray, frames: _Frames, alone: BoolArray, rate_hz: float
-) -> tuple[BoolArray, BoolArray]:
-    """Return the frames in which each sensor is loose, and those after a jump of its clock.
+def _loose(frames: _Frames, alone: BoolArray) -> BoolArray:
+    """Return the frames in which each sensor is loose.
 
     Only sensors that are not loose serve as reference, hence two rounds.
     """
-    loose, late = np.zeros_like(alone), np.zeros_like(alone)
+    loose = np.zeros_like(alone)
     for _ in range(2):
-        newly_loose = np.zeros_like(alone)
-        sound = np.where(loose, np.nan, frames.levels)
+        sound, loose = np.where(loose, np.nan, frames.levels), np.zeros_like(alone)
         for i in np.flatnonzero(alone.any(axis=1)).tolist():
             # frames with evidence grow into the stretch of frames without shared motion
-            seeds = alone[i] & ~late[i] & _evidence(frames, sound, i)
-            grown = binary_propagation(seeds, mask=(alone[i] | ~frames.judged) & ~late[i])
+            seeds = alone[i] & _evidence(frames, sound, i)
+            grown = binary_propagation(seeds, mask=alone[i] | ~frames.judged)
             for part in map(slice, *(edges.tolist() for edges in runs(grown))):
-                if np.count_nonzero(seeds[part]) < LEAST_FRAMES:
-                    continue
-                where = late if _is_elsewhere(signals, i, part, rate_hz) else newly_loose
-                where[i, part] = True
-        loose = newly_loose
-    return loose, late
+                loose[i, part] = np.count_nonzero(seeds[part]) >= LEAST_FRAMES
+    return loose
 
 
 def _never_shared(names: Sequence[str], frames: _Frames) -> BoolArray:
-    """Return which sensors of pairs never show the motion that the other one of the pair shows."""
     shares = np.count_nonzero((frames.coherences >= SHARED) & frames.judged, axis=1)
     is_alone = (frames.coherences < ALONE) & frames.judged
     n_judged, n_alone = np.count_nonzero(frames.judged), np.count_nonzero(is_alone, axis=1)
@@ -213,65 +188,16 @@ def _evidence(frames: _Frames, levels: FloatArray, i: int) -> BoolArray:
 
     `levels` are NaN where a sensor is no reference.
     """
-    others = np.delete(levels, i, axis=0)
+    own, others = frames.levels[i], np.delete(levels, i, axis=0)
     loudest = np.where(np.isnan(others), -np.inf, others).max(axis=0)
-    collapsed = _below_others(frames.levels[i], others) >= COLLAPSED
-    return np.asarray(((loudest >= USUAL) | collapsed) & _is_fast_enough(frames, i))
-
-
-def _below_others(own: FloatArray, others: FloatArray) -> FloatArray:
-    """Return how far a sensor's level is below that of the quietest other; -inf if unknown."""
     quietest = np.where(np.isnan(others), np.inf, others).min(axis=0)
-    is_finite = np.isfinite(quietest) & np.isfinite(own)
-    return np.where(is_finite, np.where(is_finite, quietest, 0.0) - own, -np.inf)
-
-
-def _is_fast_enough(frames: _Frames, i: int) -> BoolArray:
-    """Return the frames whose speed is not far below those at which a sensor shared motion."""
-    if np.isnan(frames.levels[i]).all():
-        return np.zeros_like(frames.judged)
+    has_collapsed = np.isfinite(quietest) & (own <= quietest - COLLAPSED)  # False for NaN
+    # its signal at speeds far below those at which it shared motion is unknown
     shares = (frames.coherences[i] >= SHARED) & frames.judged
+    if np.isnan(own).all():
+        return np.zeros_like(frames.judged)
     slowest = SLOW_SHARE * np.quantile(frames.speeds[shares], SLOW_QUANTILE)
-    return np.asarray(frames.speeds >= slowest)
-
-
-def _fallen(frames: _Frames) -> BoolArray:
-    """Return the frames in which a sensor is far quieter than all others, for a few or more."""
-    fallen = np.zeros(frames.single.shape, dtype=np.bool_)
-    for i, own in enumerate(frames.single):
-        below = _below_others(own, np.delete(frames.single, i, axis=0)) >= FALLEN
-        below &= frames.judged & _is_fast_enough(frames, i)
-        fallen[i] = binary_opening(below, np.ones(FALLEN_FRAMES))
-    return fallen
-
-
-def _is_elsewhere(signals: FloatArray, i: int, part: slice, rate_hz: float) -> bool:
-    """Return whether another sensor shows sensor `i`'s motion of some frames at another time.
-
-    Signals are whitened, so each frequency bin counts by its phase alone.
-    """
-    edge = round(EDGE_S * rate_hz)
-    first, last = round(part.start * STEP_S * rate_hz), round((part.stop + 1) * STEP_S * rate_hz)
-    if last - first > 4 * edge:
-        first, last = first + edge, last - edge
-    piece = signals[i, first:last]
-    n_fft = next_fast_len(signals.shape[1] + len(piece), real=True)
-    piece = get_window("hann", len(piece)) * (piece - piece.mean())
-    white = _whitened(piece, n_fft, rate_hz)
-    for other in np.delete(signals, i, axis=0):
-        correlation = irfft(_whitened(other, n_fft, rate_hz) * white.conj(), n_fft)
-        if np.abs(correlation).max() > SAME_MOTION * np.sqrt(np.mean(correlation**2)):
-            return True
-    return False
-
-
-def _whitened(signal: FloatArray, n_fft: int, rate_hz: float) -> ComplexArray:
-    spectrum, band = rfft(signal - signal.mean(), n_fft), _band(n_fft, rate_hz)
-    width = max(round(SMOOTHED_HZ * n_fft / rate_hz), 1)
-    power = uniform_filter1d(np.abs(spectrum) ** 2, width)[band]
-    white = np.zeros(len(spectrum), dtype=np.complex128)
-    white[band] = spectrum[band] / np.sqrt(np.where(power > 0, power, np.inf))
-    return white
+    return np.asarray(((loudest >= USUAL) | has_collapsed) & (frames.speeds >= slowest))
 
 
 def _painted(frames: BoolArray, n_samples: int, rate_hz: float) -> BoolArray:
@@ -287,22 +213,3 @@ def _painted(frames: BoolArray, n_samples: int, rate_hz: float) -> BoolArray:
     np.add.at(steps, begin, 1)
     np.add.at(steps, end, -1)
     return np.asarray(np.cumsum(steps[:-1]) > 0)
-
-
-def _stretches(loose: BoolArray, alone: BoolArray, start_s: float) -> str:
-    """Return from when until when a sensor is loose, as text; the last ones are counted."""
-    stretches = []
-    for start, stop in zip(*runs(loose), strict=True):
-        frames = np.flatnonzero(alone[start:stop]) + start
-        first, last = (start_s + frames[[0, -1]] + [-1.0, 3.0]).tolist()
-        if start <= EDGE_S:
-            stretches.append(Finding("until", last=last))
-        elif stop >= len(loose) - EDGE_S:
-            stretches.append(Finding("from-on", first=first))
-        else:
-            stretches.append(Finding("from-until", first=first, last=last))
-    n_more = len(stretches) - LISTED
-    words = together(stretches[:LISTED], ", ")
-    if n_more > 0:
-        words = Finding("once-more" if n_more == 1 else "more-times", words=words, n=n_more)
-    return words

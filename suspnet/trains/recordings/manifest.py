@@ -53,7 +53,6 @@ _CONSTANT_SPEED = re.compile(r"([1-9]\d{0,2}(?:\.\d+)?) *(m/s|km/h)")
 
 
 def _speed(value: Value) -> float | SpeedSource:
-    """Return a constant speed [m/s] or where the speed is stored."""
     content = value.content
     if isinstance(content, str) and (match := _CONSTANT_SPEED.fullmatch(content.strip())):
         return float(match[1]) * SPEED_UNITS[match[2]]

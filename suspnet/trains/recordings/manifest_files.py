@@ -122,7 +122,6 @@ class ManifestFile:
         }
 
     def _check_files(self) -> None:
-        """Raise TripError if a named data file is missing."""
         folder = self.path.parent
         problems = [
             at(self.path, "no-data-file", key=key, source=repr(source["file"]), folder=folder)
@@ -152,7 +151,6 @@ def _with_file(source: Any) -> Any:
 
 
 def _check_columns(manifest: TripManifest) -> None:
-    """Raise TripError if two sensors name the same column of the same file."""
     places: dict[tuple[Path, str | None], str] = {}
     for name, sensor in manifest.sensors().items():
         other = places.setdefault((manifest.file_of(sensor).resolve(), sensor.column), name)
@@ -209,7 +207,6 @@ def find_trips(paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
 
 
 def _manifests(path: Path) -> list[Path]:
-    """Return the manifests of one file or folder; OSError if there are none."""
     if not path.is_dir():
         if not os.path.lexists(path):
             raise FileNotFoundError(Finding("no-file-or-folder", path=path))

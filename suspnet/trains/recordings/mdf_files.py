@@ -74,7 +74,6 @@ def open_mdf(path: Path) -> Iterator[OpenFile]:
 
 
 def _columns(file: Any, g: int, names: Sequence[str]) -> Iterator[Column]:
-    """Yield the channels of a group as the file describes them."""
     start = _start(file)
     master, kind = file.masters_db.get(g), TIME
     if master is not None:
@@ -99,7 +98,6 @@ def _start(file: Any) -> dict[str, Any]:
 
 
 def _unit(channel: Any) -> str | None:
-    """Return the unit of a channel, or else, where it refers to none, that of its conversion."""
     other = getattr(channel.conversion, "unit", None) if channel.unit_addr == 0 else None
     return channel.unit or other or None
 
@@ -116,7 +114,6 @@ def _refused(channel: Any) -> str:
 
 
 def _notes(header: Any) -> tuple[str, ...]:
-    """Return the comment and the properties of a file's header as lines."""
     properties = getattr(header, "_common_properties", None) or {}
     properties = {"vehicle": getattr(header, "subject", "")} | properties
     lines = [f"{name}: {value}" for name, value in properties.items() if value]

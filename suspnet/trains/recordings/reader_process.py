@@ -113,8 +113,6 @@ def _warn_once(missing: str) -> None:
 
 
 class _Server:
-    """Client of the server from which reader processes are forked."""
-
     def __init__(self) -> None:
         path = f"import sys; sys.path[:] = {[str(folder) for folder in sys.path]}; "
         self._control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -147,7 +145,6 @@ _lock = threading.Lock()
 
 
 def _started(request: dict[str, Any], handles: Sequence[int]) -> int:
-    """Return the id of a new reader process; start the server if there is none."""
     with _lock:
         if (server := _servers.get(os.getpid())) is not None:
             with suppress(OSError, ValueError):
@@ -173,8 +170,6 @@ def end_all() -> None:
 
 
 class _Process:
-    """Client of the reader process of one file."""
-
     def __init__(self, path: Path, function: Sequence[str], library: str | None) -> None:
         self.path = path
         self._is_late = False
@@ -273,7 +268,6 @@ def _state(path: Path) -> tuple[str, int, int]:
 
 
 def _limit_s(n_bytes: int) -> float:
-    """Return the time limit of one step, [s]; TripError if the environment variable is invalid."""
     text = os.environ.get(LIMIT, "")
     if not text:
         return step_s(n_bytes)

@@ -61,7 +61,6 @@ def serve() -> None:
 
 
 def _fork(request: dict[str, Any], handles: Sequence[int], control: socket.socket) -> int:
-    """Fork a confined process that reads a file, and return its id."""
     # import in the server, so that each process need not do it again
     module, name = request["function"]
     reader = getattr(importlib.import_module(module), name)
@@ -97,7 +96,6 @@ def _end(pid: int, grace_s: float) -> int:
 
 
 def _serve_file(reader: Reader, path: Path, connection: int, missing: Sequence[str]) -> None:
-    """Answer requests until the client closes the connection."""
     with (
         os.fdopen(connection, "rb", closefd=False) as requests,
         os.fdopen(connection, "wb", closefd=False) as answers,
@@ -115,7 +113,6 @@ def _serve_file(reader: Reader, path: Path, connection: int, missing: Sequence[s
 def _answers(
     reader: Reader, path: Path, requests: IO[bytes]
 ) -> Iterator[tuple[dict[str, Any], Block]]:
-    """Yield the answer to each request: its values and arrays."""
     with ExitStack() as stack:
         file, blocks = OpenFile((), lambda _: iter(())), dict[int, Iterator[Block]]()
         for line in requests:
@@ -143,7 +140,6 @@ def _answers(
 
 
 def _description(file: OpenFile) -> dict[str, Any]:
-    """Return an open file but its blocks as JSON-able values."""
     return {
         "columns": [asdict(column) | {"unread": stored(column.unread)} for column in file.columns],
         "words": stored(file.words),
@@ -241,7 +237,6 @@ def confine(descriptor: int, path: Path, memory_bytes: int) -> list[str]:
 
 
 def _code_folders() -> list[str]:
-    """Return the folders of Python's code and of the libraries that it loads."""
     prefixes = tuple({f"{os.path.realpath(root)}/lib" for root in (sys.prefix, sys.base_prefix)})
     packages = [
         folder

@@ -150,7 +150,6 @@ class Recording(ShortRepr):
 
     @property
     def _alone(self) -> dict[str, str]:
-        """Names of the sensors whose partners are dead, by channel."""
         partners = map(partner_of, self.dead)
         return {channel_of(name): name for name in partners if name and channel_of(name)}
 
@@ -298,7 +297,6 @@ def _elsewhere(values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
 def _read_sensor(
     manifest: TripManifest, name: str, offset_s: float, wanted_hz: float
 ) -> SensorSignal:
-    """Return the signal of one sensor from its file, on the common clock."""
     where, channel = manifest.where(name), manifest.sensors()[name]
     with open_source(manifest, channel, where) as source:
         blocks = source.even(PASS * wanted_hz)
@@ -324,7 +322,6 @@ def _read_sensor(
 def _common(
     manifest: TripManifest, streams: Sequence[SensorSignal], rate_hz: float
 ) -> tuple[int, int]:
-    """Return the first and last common instant of all sensors, in steps of the common clock."""
     common_s = min(s.end_s for s in streams) - max(s.start_s for s in streams)
     if common_s < SHORTEST_S - 1 / rate_hz:
         spans = together(

@@ -151,7 +151,6 @@ class Running:
         self._give(frame.sensor, blocks)
 
     def _order(self, frame: Frame) -> Assembler:
-        """Return the assembler of a frame's sensor; the first frame may set the rate."""
         name, source = frame.sensor, self._sources[frame.sensor]
         if name not in self._orders:
             rate_hz = source.rate_hz
@@ -222,7 +221,6 @@ class Running:
 
     @property
     def _clock_ns(self) -> int:
-        """Zero of the recording's clock, since 1970, [ns]."""
         return self._whole_second(self.begin_ns)
 
     def _zero_ns(self, name: str) -> int:
@@ -256,7 +254,6 @@ class Running:
             sensor.push(block)
 
     def _track(self) -> SpeedTrack | None:
-        """Return the speeds so far, as the batch reads them; None if the speed is constant."""
         source = self.manifest.speed
         if not isinstance(source, SpeedSource):
             return None

@@ -329,7 +329,6 @@ def _sinc_table(half: int, oversampling: float) -> FloatArray:
 
 
 def _touched(bad: BoolArray, first: IntArray, length: int) -> BoolArray:
-    """Return which windows of `length` samples from `first` contain a bad sample."""
     if not bad.any():
         return np.zeros(len(first), dtype=np.bool_)
     count = np.zeros(len(bad) + 1, dtype=np.int32)

@@ -158,7 +158,6 @@ def open_source(manifest: TripManifest, source: FileSource, where: str) -> Itera
 
 
 def _only_stamps(where: str, path: Path, file: OpenFile) -> str:
-    """Return the only column of time stamps; TripError if there are none or several."""
     stamps = [column.name for column in file.columns if column.is_time]
     if len(stamps) == 1:
         return stamps[0]
@@ -170,7 +169,6 @@ def _only_stamps(where: str, path: Path, file: OpenFile) -> str:
 
 
 def _agreed_rate(where: str, stated_hz: float | None, column: Column) -> float | None:
-    """Return the rate of the manifest or else of the file; TripError if they differ."""
     own_hz = column.rate_hz
     if stated_hz is None or own_hz is None:
         return stated_hz or own_hz
@@ -335,7 +333,6 @@ def check_rate(where: str, stated_hz: float | None, times_hz: float) -> None:
 
 
 def _recut(blocks: Iterable[tuple[FloatArray, ...]]) -> Iterator[tuple[FloatArray, ...]]:
-    """Yield the same stream in blocks of ``BLOCK`` samples, the last one shorter."""
     pending: list[tuple[FloatArray, ...]] = []
     held = 0
     for block in blocks:

@@ -225,7 +225,6 @@ def _named_by_its_file(signal: Signal) -> Signal:
 
 
 def _first(file: Path, opened: OpenFile, name: str) -> FloatArray:
-    """Return the first samples of a column; empty if it cannot be read."""
     try:
         return next(iter(read_columns(file, opened, [name])))[0]
     except TripError:

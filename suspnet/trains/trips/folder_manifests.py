@@ -123,9 +123,9 @@ def folder_manifests(
 ) -> list[Trip]:
     """Return the manifests of the trips of a folder.
 
-    A file with columns of both bogies gives a trip of each. `config_dir` is the folder of the
-    user's vehicles, for the commands in the manifests. TripError with all `problems` if files
-    cannot be read; ValueError if the table names a trip that is not there.
+    `config_dir` is the folder of the user's vehicles, for the commands in the manifests. TripError
+    with all `problems` if files cannot be read; ValueError if the table names a trip that is not
+    there.
     """
     names = {
         one.path: {one.path.stem, *names_of([_relative(file, folder) for file in one.files])}
@@ -149,14 +149,10 @@ def folder_manifests(
         of_trip: dict[str, Stated] = {}
         for name in sorted(names[one.path] & set(table)):
             of_trip |= table[name]
-        for path, signals, by_columns in _by_bogie(one.path, _signals(several)):
-            stated = _stated(one, several, signals, folder)
-            bogie, word = guessed_bogie(path.stem)
-            by_name = {"bogie": Stated(bogie, f"guess by files named {word}")} if bogie else {}
-            # the later ones count more; columns of both bogies more than a line of the file
-            both = {key: value for key, value in by_columns.items() if key == "bogie"}
-            known = by_name | by_columns | stated | both | of_all | of_trip
-            trips.append(_trip(path, one.files, several, signals, known, said, config_dir))
+        signals = _signals(several)
+        # the later ones count more
+        known = _guessed(one.path, signals) | _stated(one, several, signals, folder)
+        trips.append(_trip(one, several, signals, known | of_all | of_trip, said, config_dir))
     _check_columns(said, trips)
     if MILEAGE in said and len(trips) > 1:
         raise ValueError(
@@ -166,14 +162,10 @@ def folder_manifests(
 
 
 def _relative(file: Path, folder: Path) -> Path:
-    try:
-        return Path(os.path.relpath(file, folder))
-    except ValueError:  # on another drive there is no relative path
-        return file.resolve()
+    return Path(os.path.relpath(file, folder))
 
 
 def _check_columns(said: Mapping[str, str], trips: Sequence[Trip]) -> None:
-    """Raise ValueError if no trip has the columns that were said of a channel."""
     for key, value in said.items():
         if key.startswith("channels.") and not any(_columns(key, value, t.signals) for t in trips):
             raise ValueError(
@@ -191,39 +183,18 @@ def _signals(contents: Sequence[Contents]) -> list[Signal]:
     return [replace(s, names=(*s.names, s.file.parent.name)) for s in signals]
 
 
-def _by_bogie(
-    path: Path, signals: Sequence[Signal]
-) -> list[tuple[Path, tuple[Signal, ...], dict[str, Stated]]]:
-    """Return a trip of each bogie that the names of columns state, with guesses of its place."""
-    axles = [guessed_axle(*signal.names) for signal in signals]
-    stated = [guessed_bogie(*signal.names) for signal in signals]
-    if max(axles, default=0) > len(ENDS):  # axles are numbered along the vehicle
-        stated = [
-            (bogie, word) if bogie or not axle else (ENDS[axle > len(ENDS)], f"axle {axle}")
-            for (bogie, word), axle in zip(stated, axles, strict=True)
-        ]
-    bogies: list[str] = [end for end in ENDS if end in dict(stated)]
-    parts = []
-    for bogie in bogies or [""]:
-        own = [i for i, (end, _) in enumerate(stated) if end in ("", bogie)]
-        known: dict[str, Stated] = {}
-        if bogie:
-            word = next(word for end, word in stated if end == bogie)
-            known["bogie"] = Stated(bogie, f"guess by columns named {word}")
-        numbers = {axles[i] for i in own if axles[i] and signals[i].side}
-        if len(numbers) == 1:
-            (axle,) = numbers
-            known["axle"] = Stated(ENDS[(axle - 1) % 2], f"guess by columns named axle {axle}")
-        end = f"_{bogie}" if len(bogies) > 1 else ""
-        its_path = path.with_name(f"{path.stem}{end}.yaml")
-        parts.append((its_path, tuple(signals[i] for i in own), known))
-    return parts
+def _guessed(path: Path, signals: Sequence[Signal]) -> dict[str, Stated]:
+    """Return the bogie that the names of columns, or else of the trip, state."""
+    of_columns = {guessed_bogie(*signal.names) for signal in signals} - {("", "")}
+    (bogie, word), source = guessed_bogie(path.stem), "files"
+    if len({end for end, _ in of_columns}) == 1:
+        (bogie, word), source = min(of_columns), "columns"
+    return {"bogie": Stated(bogie, f"guess by {source} named {word}")} if bogie else {}
 
 
 def _stated(
     trip: TripFiles, contents: Sequence[Contents], signals: Sequence[Signal], folder: Path
 ) -> dict[str, Stated]:
-    """Return what the files of a trip state: their folder, loggers, columns and clocks."""
     stated: dict[str, Stated] = {}
     if trip.path.parent != folder:
         stated["suspension"] = Stated(trip.path.parent.name, "by the folder")
@@ -245,8 +216,7 @@ def _stated(
 
 
 def _trip(
-    path: Path,
-    files: tuple[Path, ...],
+    trip: TripFiles,
     contents: Sequence[Contents],
     signals: Sequence[Signal],
     known: Mapping[str, Stated],
@@ -254,7 +224,8 @@ def _trip(
     config_dir: Path | None,
 ) -> Trip:
     """Return the manifest of a trip as text, with what is missing in it."""
-    known, names = dict(known), {key: said.get(f"channels.{key}", "") for key in CHANNELS}
+    path, known = trip.path, dict(known)
+    names = {key: said.get(f"channels.{key}", "") for key in CHANNELS}
     names[SPEED] = said.get(SPEED, "")
     columns = {key: _columns(key, text, signals) for key, text in names.items()}
     chosen = {key: addresses for key, addresses in columns.items() if addresses}
@@ -299,7 +270,7 @@ def _trip(
     missing = tuple(dict.fromkeys([*required, *writer.missing]))
     text = "\n".join(map(_on_one_line, lines)) + "\n"
     untimed = tuple(content.untimed for content in contents if content.untimed)
-    return Trip(path, files, known, own, text, missing, tuple(writer.guesses), untimed)
+    return Trip(path, trip.files, known, own, text, missing, tuple(writer.guesses), untimed)
 
 
 def _stated_line(key: str, stated: Stated) -> str:
@@ -405,7 +376,6 @@ def loggers_of(said: Mapping[str, str]) -> list[str]:
 
 
 def _file_and_column(word: str) -> tuple[str, str]:
-    """Return both parts of FILE:COLUMN, the first without the ending of data files."""
     file, _, column = word.partition(":")
     ending = Path(file).suffix
     return file.removesuffix(ending) if ending.lower() in READERS else file, column
@@ -473,7 +443,6 @@ def _with_said(
 
 
 def _plain_value(key: str, text: str) -> str | float:
-    """Return what was said as a number where the key has one; ValueError if it is none."""
     is_number = key in NUMBERS or key.endswith("rate_hz")
     try:
         return float(text) if is_number or key == SPEED else text

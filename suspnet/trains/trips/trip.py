@@ -122,7 +122,6 @@ def _reason(error: Exception, manifest: Path) -> str:
 
 
 def _in_lines(result: TripResult) -> TripResult:
-    """Return a result whose texts are of one line each, as tables need them."""
     place = Place(*map(one_line, astuple(result.place)))
     values = {f.name: getattr(result, f.name) for f in fields(result)}
     texts: dict[str, Any] = {
@@ -134,7 +133,6 @@ def _in_lines(result: TripResult) -> TripResult:
 
 
 def _check_measured(manifest: TripManifest, models: Sequence[TrainedModel]) -> None:
-    """Raise TripError if the models were not trained for the trip's vehicle and axle."""
     for name in sorted({model.vehicle.name for model in models} - {manifest.vehicle}):
         raise TripError(
             Finding("model-of-other-vehicle", vehicle=repr(manifest.vehicle), name=repr(name))

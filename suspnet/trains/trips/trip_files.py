@@ -74,7 +74,6 @@ def find_trip_files(
 
 
 def _files(folder: Path, depth: int) -> Iterable[Path]:
-    """Yield what a folder and its subfolders hold, and folders that are too deep."""
     for path in folder.iterdir():
         if path.name.startswith(".") or path.name in IGNORED:
             continue
@@ -85,7 +84,6 @@ def _files(folder: Path, depth: int) -> Iterable[Path]:
 
 
 def _unread(paths: Iterable[Path]) -> list[str]:
-    """Return lines on data files of other formats, and on folders that are too deep."""
     files = sorted(str(p) for p in paths if p.suffix.lower() not in NO_DATA and p.is_file())
     deep = sorted(str(path) for path in paths if path.is_dir())
     more = f" and {len(files) - 5} more" if len(files) > 5 else ""

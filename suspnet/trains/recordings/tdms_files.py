@@ -1,10 +1,10 @@
-"""Channels of TDMS and UFF files, with the rates, units and times that they state."""
+"""Channels of TDMS files, with the rates, units and times that they state."""
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from importlib import import_module
 from itertools import pairwise
@@ -18,21 +18,13 @@ from suspnet.ground.extras import import_extra
 from suspnet.ground.findings import Finding
 from suspnet.trains.recordings.columns import (
     MOST_DRIFT,
-    Block,
     Column,
     OpenFile,
     Take,
-    size_of,
     slices,
 )
 from suspnet.trains.recordings.errors import TripError
 
-TIME_RESPONSE = 1
-"""Function type of a time record in a data set 58 of a universal file."""
-ACCELERATION, TIME = 12, 17
-"""Kinds of ordinate and abscissa of a data set 58."""
-LENGTHS = {1: "m", 2: "ft", 3: "m", 4: "ft", 5: "mm", 6: "cm", 7: "in", 8: "mm", 10: "mm"}
-"""Unit of lengths by the code of a data set 164, which holds where a data set 58 names no unit."""
 LEAST_GAP_S = 1e-3
 """Least time between the end of a segment of a TDMS file and the start of the next that is a gap,
 [s]: less is inexact time stamps."""
@@ -107,7 +99,6 @@ def _tdms_column(name: str, channel: Any, stated: Stated) -> Column:
 
 
 def _changed(stated: Stated) -> str:
-    """Return which property that must be one in all segments is not; empty if none."""
     first: dict[str, str] = {}
     for _, properties in stated:
         for key, value in properties.items():
@@ -146,72 +137,3 @@ def _starts_ns(stated: Stated, n_samples: int) -> list[tuple[int, int]]:
             starts.pop()
         starts.append((n if starts else 0, ns))
     return starts
-
-
-@contextmanager
-def open_uff(path: Path) -> Iterator[OpenFile]:
-    """Open a universal file; each time record of type 58 is a column, which is read whole."""
-    pyuff = import_extra("pyuff", "uff", f"{path}: a universal file", TripError)
-    file = pyuff.UFF(str(path))
-    columns, records = _uff_columns(file)
-
-    def read(names: Sequence[str]) -> Iterator[Block]:
-        takes: dict[str, tuple[int, Take]] = {}
-        for name in names:
-            is_times = name not in records
-            record = file.read_sets(records[name.removesuffix(": times")])
-            values = np.asarray(record["x" if is_times else "data"]).ravel()
-            n_declared = int(record["num_pts"])
-            if len(values) < n_declared:
-                sizes = {"n_declared": n_declared, "n_values": len(values)}
-                raise TripError.at(path, "column-cut-off", name=repr(name), **sizes)
-            takes[name] = n_declared, values.__getitem__  # what follows fills up a line
-        return slices(path, names, takes)
-
-    yield OpenFile(tuple(columns), read)
-
-
-def _uff_columns(file: Any) -> tuple[list[Column], dict[str, int]]:
-    """Return the columns of a universal file, and their record numbers by name."""
-    records: dict[str, int] = {}
-    columns: list[Column] = []
-    length = None
-    for i, kind in enumerate(file.get_set_types()):
-        if kind == 164:
-            length = LENGTHS.get(int(file.read_sets(i)["units_code"]))
-        header = file.read_sets(i, header_only=True) if kind == 58 else {}
-        if header.get("func_type") != TIME_RESPONSE:
-            continue
-        name = _text(header, "id1")
-        if not name or name in records:
-            name = f"record_{i + 1}"
-        records[name] = i
-        columns += _uff_record(name, header, length)
-    return columns, records
-
-
-def _uff_record(name: str, header: Mapping[str, Any], length: str | None) -> Iterator[Column]:
-    """Yield the column of a time record, and that of its times if they are not even from 0 on."""
-    unit, along = (_text(header, f"{axis}_axis_units_lab") for axis in ("ordinate", "abscissa"))
-    if not unit and length and header.get("ordinate_spec_data_type") == ACCELERATION:
-        unit = f"{length}/s2"
-    refused = ""
-    if header.get("abscissa_spec_data_type") not in (None, 0, 1, TIME):  # 0, 1: unknown, general
-        refused = Finding("not-of-time")
-    elif header.get("ord_data_type") in (5, 6):
-        refused = Finding("not-real", kind=np.dtype(complex))
-    date = _text(header, "id3") or None
-    about: dict[str, Any] = {"unit": unit or None, "date": date, "unread": refused}
-    step_s = float(header.get("abscissa_inc") or 0.0) * (size_of("time", along or "s") or 0.0)
-    if header.get("abscissa_spacing") == 1 and not float(header.get("abscissa_min") or 0.0):
-        yield Column(name, rate_hz=1 / step_s if step_s > 0 else None, **about)
-        return
-    times = f"{name}: times"
-    yield Column(name, time=times, **about)
-    yield Column(times, unit=along or "s", is_by_name=True)
-
-
-def _text(header: Mapping[str, Any], key: str) -> str:
-    """Return a text of a header; empty where it is "NONE"."""
-    text = str(header.get(key, "")).strip()
-    return "" if text.upper() == "NONE" else text
