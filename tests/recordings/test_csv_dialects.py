@@ -14,8 +14,7 @@ from suspnet.trains.recordings import csv_dialect, csv_files
 from suspnet.trains.recordings.csv_dialect import find_dialect
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.formats import open_columns, open_file, read_columns
-from suspnet.trains.recordings.manifest_keys import CsvDialect
-from suspnet.trains.recordings.manifest_sources import SensorSource
+from suspnet.trains.recordings.manifest_sources import CsvDialect, SensorSource
 
 ROWS = np.array([[0.0, 1.5, -0.25], [0.1, -2.5, 1e-5], [0.2, np.nan, 12.0], [0.3, 4.0, 0.125]])
 

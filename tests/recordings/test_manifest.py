@@ -19,8 +19,12 @@ from suspnet.trains.recordings.manifest_files import (
     read_manifest,
     write_manifest,
 )
-from suspnet.trains.recordings.manifest_keys import DELIMITERS, CsvDialect
-from suspnet.trains.recordings.manifest_sources import SensorSource, SpeedSource
+from suspnet.trains.recordings.manifest_sources import (
+    DELIMITERS,
+    CsvDialect,
+    SensorSource,
+    SpeedSource,
+)
 
 SUSPENSION = "car 7, leading bogie, right"
 TRIP = f"""
@@ -244,7 +248,7 @@ MISTAKES = [  # key, value, and how the problem continues behind the key
     *((f"{BODY}.file", value, FILE) for value in ("gone.mat", "sub")),
     *((f"{BODY}.unit", value, ONE_OF) for value in ("mg", ["g"])),
     *((f"{BODY}.rate_hz", value, NUMBER) for value in (0, "5k", 10**400)),
-    (f"{BODY}.sign", 2, "must be 1 or -1, got 2"),
+    (f"{BODY}.sign", 2, "must be one of [1, -1], got 2"),
     (f"{BODY}.range", -2.0, NUMBER),
     (f"{BODY}.start_s", -INFINITE, "must be a finite number"),
     (f"{BODY}.column", 3, "must be text"),
@@ -264,8 +268,8 @@ MISTAKES = [  # key, value, and how the problem continues behind the key
     ("channels.axle_box", [LEFT | {"axle": 2, "side": "left"}] * 2, "has two sensors on the left"),
     ("channels.axle_box", [*[LEFT] * 3, LEFT | {"axle": 2}], "must be a sensor, or a list"),
     (BOGIE, LEFT | {"axle": 2}, "has a sensor at axle 2 only"),
-    (f"{BOGIE}.axle", 3, "must be 1 or 2, got 3"),
-    (f"{BOGIE}.axle", "2", "must be 1 or 2"),
+    (f"{BOGIE}.axle", 3, "must be one of [1, 2], got 3"),
+    (f"{BOGIE}.axle", "2", "must be one of [1, 2]"),
     (f"{BODY}.axle", 1, "is not known"),
 ]
 IN_PAIRS = [  # sensors, and the key and the rule of the problem

@@ -19,7 +19,7 @@ from suspnet.ground.findings import Finding
 from suspnet.trains.recordings.columns import is_unit, unit_in_name
 from suspnet.trains.recordings.dates import Notation, date_in_lines, notation_of, read_date
 from suspnet.trains.recordings.errors import TripError
-from suspnet.trains.recordings.manifest_keys import DELIMITERS, CsvDialect
+from suspnet.trains.recordings.manifest_sources import DELIMITERS, CsvDialect
 
 SAMPLE_BYTES = 2**18
 """Number of bytes at the start of a file from which its dialect is detected."""

@@ -31,7 +31,7 @@ from suspnet.trains.recordings.csv_dialect import (
 )
 from suspnet.trains.recordings.dates import NO_DATE, Notation, notation_of, read_date, read_stamps
 from suspnet.trains.recordings.errors import TripError
-from suspnet.trains.recordings.manifest_keys import CsvDialect
+from suspnet.trains.recordings.manifest_sources import CsvDialect
 
 BLOCK_BYTES = 2**19
 """Number of bytes that are parsed at once."""

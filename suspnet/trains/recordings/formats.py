@@ -14,7 +14,7 @@ from suspnet.trains.recordings.array_files import open_hdf5, open_mat
 from suspnet.trains.recordings.columns import BLOCK, Block, OpenFile, Reader, check_samples, choose
 from suspnet.trains.recordings.csv_files import open_csv, open_parquet
 from suspnet.trains.recordings.errors import TripError, opening
-from suspnet.trains.recordings.manifest_keys import CsvDialect
+from suspnet.trains.recordings.manifest_sources import CsvDialect
 from suspnet.trains.recordings.mdf_files import open_mdf
 from suspnet.trains.recordings.reader_process import in_own_process
 from suspnet.trains.recordings.tdms_files import open_tdms

@@ -16,26 +16,24 @@ from typing import Literal
 from suspnet.ground.findings import Finding, of
 from suspnet.ground.parameters import DIRECTIONS, ENDS, ESTIMATED, SIDES
 from suspnet.ground.records import HIGHEST_KM, MOST_NAME, Place
-from suspnet.trains.recordings import manifest_keys as check
+from suspnet.trains.recordings import manifest_sources as check
 from suspnet.trains.recordings.errors import TripError, all_of
-from suspnet.trains.recordings.manifest_keys import (
-    ManifestKey,
-    Value,
-    key,
-    keys_of,
-    optional,
-    required,
-)
 from suspnet.trains.recordings.manifest_sources import (
     MIDDLE,
     OTHER_AXLE,
     SPEED_UNITS,
     FileSource,
+    ManifestKey,
     Pair,
     SensorSource,
     Several,
     SpeedSource,
+    Value,
+    key,
+    keys_of,
+    optional,
     partner_of,
+    required,
 )
 
 FORMAT = "suspnet-trip-1"

@@ -18,7 +18,7 @@ from suspnet.ground.storage import one_line, read_json, read_plain, why, write_a
 from suspnet.ground.wording import command
 from suspnet.trains.recordings.errors import TripError, all_of, opening
 from suspnet.trains.recordings.manifest import FORMAT, MANIFEST, TripManifest
-from suspnet.trains.recordings.manifest_keys import Value, keys_of
+from suspnet.trains.recordings.manifest_sources import Value, keys_of
 
 NAMES = ("vehicle", "suspension", "train", "car")
 """Keys of names, which may be numbers."""

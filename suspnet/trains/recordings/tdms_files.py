@@ -16,13 +16,7 @@ import numpy as np
 
 from suspnet.ground.extras import import_extra
 from suspnet.ground.findings import Finding
-from suspnet.trains.recordings.columns import (
-    MOST_DRIFT,
-    Column,
-    OpenFile,
-    Take,
-    slices,
-)
+from suspnet.trains.recordings.columns import MOST_DRIFT, Column, OpenFile, Take, slices
 from suspnet.trains.recordings.errors import TripError
 
 LEAST_GAP_S = 1e-3
