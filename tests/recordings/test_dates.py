@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from recording_files import WRITERS
+from recording_files import WRITERS, opened
 from scipy.io import savemat
 from trip_fixtures import changed, model_at, signal, small_fleet
 
@@ -15,10 +15,9 @@ from suspnet.trains.recordings import dates
 from suspnet.trains.recordings.clocks import Zero, first_moment
 from suspnet.trains.recordings.dates import date_in_lines, date_problem, read_date
 from suspnet.trains.recordings.manifest_files import read_manifest
+from suspnet.trains.recordings.manifest_sources import SensorSource
 from suspnet.trains.recordings.recording import load_recording
-from suspnet.trains.trips.folder_manifests import folder_manifests
 from suspnet.trains.trips.trip import evaluate_trip
-from suspnet.trains.trips.trip_files import TripFiles
 
 START = datetime(2024, 5, 6, 8, 15, 30)
 FIRST_S = 1714983330
@@ -71,17 +70,17 @@ LOCAL = (
 )
 
 
-def known_of(*files):
-    """Return what is known of a trip of some files."""
-    (trip,) = folder_manifests([TripFiles(files[0], files)], files[0].parent, {}, {})
-    return trip.known
-
-
 @pytest.mark.parametrize("kind", [*ZONED, *LOCAL])
-def test_start_of_a_manifest_is_that_of_its_files(kind, tmp_path):
-    start = known_of(write(kind, tmp_path))["start"]
-    assert start.value == f"2024-05-06T08:15:30{'+00:00' if kind in ZONED else ''}"
-    assert start.source.startswith("by the files")
+def test_start_of_a_source_is_that_of_its_file(kind, tmp_path):
+    path = write(kind, tmp_path)
+    columns = {".tdms": "g/bogie", ".mat": "log.bogie"}
+    stated = {} if path.suffix in (".tdms", ".mf4") else {"rate_hz": 250.0}
+    if kind in ("parquet stamps", "parquet utc", "parquet numbers", "csv stamps"):
+        stated = {"time": "time"}
+    column = columns.get(path.suffix, "bogie")
+    with opened(path, SensorSource(path.name, "g", column, **stated)) as source:
+        next(source.blocks())
+        assert source.zero.moment == START.replace(tzinfo=UTC if kind in ZONED else None)
 
 
 @pytest.mark.parametrize(
@@ -146,8 +145,6 @@ def test_date_of_files_that_cannot_be_right_is_left_out_with_a_note(trip, tmp_pa
     recording = load_recording(read_manifest(stamped(trip, tmp_path, start)))
     assert recording.started is None
     assert f"the date by its files, {start.isoformat(' ')}, is left out" in recording.words
-    parquet_of(np.datetime64(start, "ns"), tmp_path / "trip.parquet")
-    assert "start" not in known_of(tmp_path / "trip.parquet")
 
 
 def test_today_is_the_clock_of_this_computer(monkeypatch):
@@ -167,9 +164,3 @@ def test_exact_times_come_before_dates_and_known_zones_before_others():
     assert first_moment([coarse, local])[0] == START - timedelta(seconds=100)
     assert first_moment([coarse])[0] == datetime(2001, 1, 1)
     assert first_moment([Zero()]) == (None, "")
-
-
-def test_start_is_left_to_the_user_where_some_files_have_no_times(tmp_path):
-    parquet_of(np.datetime64(START, "ns"), tmp_path / "a.parquet")
-    pq.write_table(pa.table({"body": columns()["bogie"]}), tmp_path / "b.parquet")
-    assert "start" not in known_of(tmp_path / "a.parquet", tmp_path / "b.parquet")

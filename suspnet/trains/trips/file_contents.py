@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from suspnet.ground.parameters import ENDS, SIDES
 from suspnet.ground.types import FloatArray
-from suspnet.trains.recordings.clocks import Times, Zero, header_date, likely_time_unit
+from suspnet.trains.recordings.clocks import likely_time_unit
 from suspnet.trains.recordings.columns import Column, OpenFile, size_of, unit_in_name
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.formats import open_file, read_columns
 from suspnet.trains.recordings.logger_notes import WORDS, choice_of, key_of
 from suspnet.trains.recordings.manifest import CHANNELS
-from suspnet.trains.recordings.manifest_sources import TIME_UNITS, FileSource
+from suspnet.trains.recordings.manifest_sources import TIME_UNITS
 
 ACCELERATION, SPEED = "acceleration", "speed"
 MILEAGE = "mileage_km"
@@ -124,10 +124,10 @@ class Signal:
     `unit` is as the file or the column's name writes it. `rate_hz` is stated by the file or
     computed from its times; NaN if unknown. `time` is the column of its times, empty if it has none
     or the file states the rate, and `time_unit` their unit if only their column's name states it.
-    `zero` is when its times start, as far as the file states it. `names` serve to guess its
-    meaning: its own, with and without its group's, and that of a file with at most two columns or
-    with columns that name no channel. `first` is the first sample. `axle` is 1 or 2 of the bogie
-    where the user stated it, else 0; `said` are the keys, unit and rate_hz, that the user stated.
+    `names` serve to guess its meaning: its own, with and without its group's, and that of a file
+    with at most two columns or with columns that name no channel. `first` is the first sample.
+    `axle` is 1 or 2 of the bogie where the user stated it, else 0; `said` are the keys, unit and
+    rate_hz, that the user stated.
     """
 
     file: Path
@@ -136,7 +136,6 @@ class Signal:
     rate_hz: float
     time: str = ""
     time_unit: str = ""
-    zero: Zero = field(default_factory=Zero)
     names: tuple[str, ...] = ()
     first: float = np.nan
     axle: int = 0
@@ -278,22 +277,9 @@ def _signal(
         rate_hz=rate_hz,
         time=time,
         time_unit=time_unit,
-        zero=_zero(file, opened, column, time, time_unit),
         names=(column.name.rpartition("/")[2], column.name),
         first=float(finite[0]) if len(finite) else np.nan,
     )
-
-
-def _zero(file: Path, opened: OpenFile, column: Column, time: str, time_unit: str) -> Zero:
-    if not time:
-        return Zero(column.start_ns, not column.is_local, True, header_date(column))
-    source = FileSource(str(file), time_unit=time_unit or None)
-    times = Times(str(file), source, opened.column(time), column.start_ns)
-    try:
-        times.seconds(_first(file, opened, time))
-    except TripError:
-        return Zero(date=header_date(column))
-    return replace(times.zero, date=header_date(column))
 
 
 def _rate(opened: OpenFile, time: str, times: FloatArray) -> tuple[float, str]:

@@ -20,7 +20,6 @@ import numpy as np
 
 from suspnet.ground.parameters import DIRECTIONS, ENDS, SIDES
 from suspnet.ground.wording import command
-from suspnet.trains.recordings.clocks import first_moment
 from suspnet.trains.recordings.columns import size_of
 from suspnet.trains.recordings.errors import all_of
 from suspnet.trains.recordings.formats import READERS
@@ -205,13 +204,7 @@ def _stated(
             stated[MILEAGE] = Stated(round(signal.first, 3), f"by the column {signal.name!r}")
     if any(signal.meaning == SPEED for signal in signals):
         stated.pop(SPEED, None)  # a column states more than a line
-    # clocks are exact; where only some files have one, `start` would hold for the others, too
-    moment, _ = first_moment(signal.zero for signal in signals)
-    if moment is not None:
-        stated.pop("start", None)
-        if len({signal.zero.ns is None for signal in signals}) == 1:
-            zone = "" if moment.tzinfo is not None else ", in the logger's zone"
-            stated["start"] = Stated(moment.isoformat(), f"by the files{zone}")
+    stated.pop("start", None)  # reading the trip takes it from its files again
     return stated
 
 
