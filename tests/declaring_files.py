@@ -21,42 +21,6 @@ A = np.arange(50.0)
 ZEROS = 2**24
 
 
-# HDF5
-
-
-def hdf5(folder: Path, *, shape, suffix=".h5", data=None, **how) -> Path:
-    """Write a data set of which nothing is stored but its shape."""
-    h5py = needed("h5py")
-    path = folder / f"data{suffix}"
-    with h5py.File(path, "w", userblock_size=512 if suffix == ".mat" else 0) as file:
-        file.create_dataset("a", shape, "f8", data, **how)
-    if suffix == ".mat":
-        with path.open("r+b") as stream:
-            stream.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
-    return path
-
-
-def hdf5_packed(folder: Path, *, n_chunks: int, n: int = ZEROS) -> Path:
-    """Write packed zeros: each chunk of 128 MB is 128 kB."""
-    h5py = needed("h5py")
-    with h5py.File(folder / "data.h5", "w") as file:
-        data = file.create_dataset("a", (n_chunks * n,), "f8", chunks=(n,), compression="gzip")
-        chunk = zlib.compress(bytes(8 * n), 9)
-        for i in range(n_chunks):
-            data.id.write_direct_chunk((i * n,), chunk)
-    return folder / "data.h5"
-
-
-def hdf5_note(folder: Path, *, size: int) -> Path:
-    """Write an attribute's neighbour, a text of gigabytes, beside a column."""
-    h5py = needed("h5py")
-    with h5py.File(folder / "data.h5", "w") as file:
-        file["g/a"] = A
-        file.create_dataset("g/unit", (1,), f"S{size}", chunks=None)
-        file.create_dataset("g/fs", (10**8,), "f8", chunks=(10**6,))
-    return folder / "data.h5"
-
-
 # MAT
 
 
@@ -213,24 +177,6 @@ NOT_FILES = ("pipe", "folder", "socket", "loop", "/dev/zero", "/dev/random", "/d
 SUFFIXES = [form.suffixes[0] for form in FORMATS]
 ROWS = "t,a\n" + "".join(f"{i},{i}\n" for i in range(40_000))
 DECLARING = {
-    **{f"hdf5 of {n:.0e}": partial(hdf5, shape=(n,)) for n in (10**8, 10**9, 10**11, 10**15)},
-    **{
-        f"hdf5 in chunks of {n:.0e}": partial(hdf5, shape=(n,), chunks=(10**5,))
-        for n in (10**8, 10**11)
-    },
-    **{
-        f"hdf5 packed, of {n:.0e}": partial(hdf5, shape=(n,), chunks=(10**4,), compression="gzip")
-        for n in (10**8, 10**10)
-    },
-    "hdf5 matrix": partial(hdf5, shape=(3, 10**10)),
-    "hdf5 of one piece": partial(hdf5, shape=(10**8,), chunks=(10**8,), compression="gzip"),
-    "hdf5 of large pieces": partial(
-        hdf5, shape=(6 * 10**7,), chunks=(6 * 10**7,), compression="gzip"
-    ),
-    "hdf5 of zeros": partial(hdf5_packed, n_chunks=8),
-    "hdf5 of many zeros": partial(hdf5_packed, n_chunks=100),
-    "hdf5 notes": partial(hdf5_note, size=2**31 - 1),
-    **{f"mat 7.3 of {n:.0e}": partial(hdf5, shape=(1, n), suffix=".mat") for n in (10**8, 10**11)},
     **{f"mat of {n:.0e}": partial(mat, n=n) for n in (10**8, 2 * 10**9)},
     "mat of rows": partial(mat, n=10**8, rows=3),
     "mat packed, 0.5 GB": partial(mat, n=6 * 10**7, packed_bytes=480_000_000),
@@ -260,7 +206,7 @@ DECLARING = {
     },
 }
 WITHIN_BOUNDS = (
-    *("mdf packed, 1e+10", "mdf packed, 1e+15", "hdf5 notes", "parquet of columns"),
+    *("mdf packed, 1e+10", "mdf packed, 1e+15", "parquet of columns"),
     *("tdms of 1e+09", "tdms of 1e+11"),
 )
 """Those in which a column may be read: what is there of it is no longer than recordings are."""

@@ -15,7 +15,7 @@ from suspnet.trains.recordings.manifest import TripManifest
 from suspnet.trains.recordings.manifest_sources import FileSource
 from suspnet.trains.recordings.sources import open_source
 
-EXTRAS = {"asammdf": "mdf", "h5py": "hdf5", "nptdms": "tdms"}
+EXTRAS = {"asammdf": "mdf", "nptdms": "tdms"}
 
 
 def needed(module: str):
@@ -64,15 +64,6 @@ def write_mat(path: Path, columns: Mapping, **_) -> None:
     savemat(path, dict(columns))
 
 
-def write_hdf5(path: Path, columns: Mapping, **said) -> None:
-    h5py = needed("h5py")
-    with h5py.File(path, "w") as file:
-        for name, values in columns.items():
-            file[name] = np.asarray(values)[None, :]  # as MATLAB 7.3 does
-            for key, value in said.items():
-                file[name].attrs[key] = value
-
-
 def write_tdms(path: Path, columns: Mapping, **said) -> None:
     nptdms = needed("nptdms")
     properties = {"wf_increment": 1 / said["rate_hz"]} if "rate_hz" in said else {}
@@ -108,8 +99,6 @@ WRITERS = {
     ".parquet": write_parquet,
     **dict.fromkeys(CSV_SUFFIXES, write_csv),
     ".mat": write_mat,
-    ".h5": write_hdf5,
-    ".hdf5": write_hdf5,
     ".tdms": write_tdms,
     ".mf4": write_mdf,
     ".mdf": write_mdf,

@@ -49,7 +49,6 @@ def write(kind, folder):
     about = {
         "csv header": {"above": ["Logger;7\n", "Startzeit: 06.05.2024 08:15:30\n"]},
         "csv two lines": {"above": ["Date: 2024-05-06\n", "Time: 08:15:30\n"]},
-        "h5 attribute": {"start_time": START.isoformat()},
         "tdms waveform": {"start": np.datetime64(START)},
         "mf4 header": {"start": START.replace(tzinfo=UTC)},
     }
@@ -64,10 +63,7 @@ def write(kind, folder):
 
 
 ZONED = ("parquet utc", "parquet numbers", "tdms waveform", "mf4 header")
-LOCAL = (
-    *("parquet stamps", "csv stamps", "csv header", "csv two lines", "mat struct"),
-    "h5 attribute",
-)
+LOCAL = (*("parquet stamps", "csv stamps", "csv header", "csv two lines", "mat struct"),)
 
 
 @pytest.mark.parametrize("kind", [*ZONED, *LOCAL])

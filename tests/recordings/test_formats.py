@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from recording_files import WRITERS, needed
+from recording_files import WRITERS
 from scipy.io import savemat
 
 from suspnet.trains.recordings import columns as columns_module
@@ -84,29 +84,6 @@ def test_nulls_become_nan(tmp_path, kind):
     path = tmp_path / "data.csv"
     path.write_text("a,b\n1,2\n,2\nNaN,2\n4,2\n")
     np.testing.assert_array_equal(read(path, "a")[0], [1.0, np.nan, np.nan, 4.0])
-
-
-@pytest.mark.parametrize("shape", [(6,), (6, 1), (1, 6)])
-def test_hdf5_takes_vectors_of_any_shape_in_groups(tmp_path, shape):
-    h5py = needed("h5py")
-    path = tmp_path / "data.h5"
-    with h5py.File(path, "w") as file:
-        file["trip/body"] = np.arange(6).reshape(shape)
-        file["trip/matrix"] = np.ones((2, 3))
-        file["trip/name"] = "text"
-    np.testing.assert_array_equal(read(path, "trip/body")[0], np.arange(6))
-    np.testing.assert_array_equal(read(path, None)[0], np.arange(6))
-
-
-def test_mat_7_3_is_read_as_hdf5(tmp_path):
-    h5py = needed("h5py")
-    path = tmp_path / "data.mat"
-    with h5py.File(path, "w", userblock_size=512) as file:
-        file["body"] = np.arange(6.0)[None]
-    header = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"
-    with path.open("r+b") as stream:
-        stream.write(header)
-    np.testing.assert_array_equal(read(path, "body")[0], np.arange(6))
 
 
 @pytest.mark.parametrize("values", [["1", "x"], [True, False], [[1.0], [2.0]]])

@@ -8,7 +8,6 @@ import pytest
 from recording_files import WRITERS, needed, opened
 from scipy.io import savemat
 
-from suspnet.trains.recordings.array_files import open_hdf5
 from suspnet.trains.recordings.columns import size_of, unit_in_name
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.formats import READERS, open_columns, open_file
@@ -16,7 +15,7 @@ from suspnet.trains.recordings.manifest_sources import SensorSource, SpeedSource
 from suspnet.trains.recordings.mdf_files import open_mdf
 from suspnet.trains.recordings.tdms_files import open_tdms
 
-STATING = (".h5", ".tdms", ".mf4")
+STATING = (".tdms", ".mf4")
 """Formats in which unit and rate may stand."""
 
 
@@ -80,7 +79,7 @@ def test_missing_unit_and_rate_are_named(tmp_path):
 
 
 def test_speed_has_units_of_its_own(tmp_path):
-    path = written(tmp_path, ".h5", unit="knots", rate_hz=1.0)
+    path = written(tmp_path, ".tdms", unit="knots", rate_hz=1.0)
     with opened(path, SpeedSource(path.name)) as source:
         assert source.size == pytest.approx(0.514444, rel=1e-5)
     refuses(path, SensorSource(path.name), "says 'knots'")
@@ -100,28 +99,11 @@ def test_structs_and_matrices_have_columns(tmp_path):
         next(open_columns(path, ["m"]))
 
 
-def test_structs_of_matlab_7_3_have_columns(tmp_path):
-    h5py = needed("h5py")
-    path = tmp_path / "data.mat"
-    with h5py.File(path, "w", userblock_size=512) as file:
-        file["trip/box"] = np.arange(6.0)[None]
-        file["trip/fs"] = np.array([[500.0]])
-        file["trip/unit"] = np.array([[ord(c)] for c in "m/s2"], dtype=np.uint16)
-        file["trip/unit"].attrs["MATLAB_class"] = np.bytes_("char")
-        file["trip/unit"].attrs["MATLAB_int_decode"] = 2
-    with path.open("r+b") as stream:
-        stream.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
-    with open_file(path) as file:
-        column = file.column("trip/box")
-        assert (column.unit, column.rate_hz) == ("m/s2", 500.0)
-
-
 @pytest.mark.parametrize(
     ("suffix", "reader", "module", "extra"),
     [
         (".mf4", open_mdf, "asammdf", "mdf"),
         (".tdms", open_tdms, "nptdms", "tdms"),
-        (".h5", open_hdf5, "h5py", "hdf5"),
     ],
 )
 def test_missing_extra_is_named(tmp_path, monkeypatch, suffix, reader, module, extra):

@@ -28,96 +28,6 @@ def unread(path: Path) -> dict[str, str]:
         return {column.name: column.unread for column in file.columns if column.unread}
 
 
-# HDF5
-
-
-def hdf5(path: Path, **attributes):
-    """Return an HDF5 file that is open for writing, with integers as `a`."""
-    file = needed("h5py").File(path, "w")
-    file["a"] = np.arange(N, dtype="i2")
-    file["a"].attrs.update(attributes)
-    return file
-
-
-FILLED = [  # stored numbers, their attributes, and the samples
-    (VALUES, {"missing_value": [0, 7]}, [np.nan, 1, 2, 3, 4, 5, 6, np.nan]),
-    (VALUES, {"other": 5.0}, VALUES),
-    (np.float32([1, -9999.9]), {"_FillValue": -9999.9}, [1, np.nan]),
-    (np.float32([1, 2]), {"_FillValue": np.nan}, [1, 2]),
-]
-
-
-@pytest.mark.parametrize(("stored", "attributes", "expected"), FILLED)
-def test_missing_samples_of_hdf5_are_left_out(tmp_path, stored, attributes, expected):
-    with hdf5(tmp_path / "a.h5") as file:
-        file["b"] = stored
-        file["b"].attrs.update(attributes)
-    np.testing.assert_array_equal(read(tmp_path / "a.h5", "b")[0], expected)
-
-
-@pytest.mark.parametrize("name", ["scale_factor", "add_offset", "_Unsigned", "valid_range"])
-def test_attributes_of_netcdf_that_change_numbers_are_refused(tmp_path, name):
-    hdf5(tmp_path / "a.h5", **{name: 2.0}).close()
-    assert unread(tmp_path / "a.h5")["a"].startswith(f"cannot be read (a with the attribute {name}")
-
-
-@pytest.mark.parametrize("name", ["Gain", "Scaling_Factor", "scaling", "Lsb"])
-def test_attributes_of_hdf5_without_a_convention_are_named(tmp_path, name):
-    hdf5(tmp_path / "a.h5", **{name: 10.0, "unit": "g"}).close()
-    words = f"a.h5: attributes that are not applied: 'a.{name}'"
-    assert contents_of(tmp_path / "a.h5").read_as == words
-
-
-@pytest.mark.parametrize(("fill", "rest"), [(-99, np.nan), (0, 0)])
-def test_fill_values_that_were_chosen_are_missing(tmp_path, fill, rest):
-    with hdf5(tmp_path / "a.h5") as file:
-        file.create_dataset("b", (N,), "i2", fillvalue=fill)[:4] = [1, 2, 3, 4]
-    np.testing.assert_array_equal(read(tmp_path / "a.h5", "b")[0], [1, 2, 3, 4, *[rest] * 4])
-
-
-def test_foreign_objects_of_hdf5_are_named_and_the_rest_is_read(tmp_path):
-    h5py = needed("h5py")
-    path = tmp_path / "a.h5"
-    with hdf5(path) as file:
-        space, wide = h5py.h5s.create_simple((N,)), h5py.h5t.STD_I32LE.copy()
-        wide.set_precision(24)
-        wide.set_size(3)
-        h5py.h5d.create(file.id, b"moments", h5py.h5t.UNIX_D32LE.copy(), space)
-        h5py.h5d.create(file.id, b"integers", wide, space)
-        file["empty"] = h5py.Empty("f8")
-        file["complex"], file["cube"] = 1j * VALUES, np.zeros((4, 3, 2))
-        file["scaled"] = VALUES
-        file["scaled"].attrs["scale_factor"] = "a half"
-        file["table"] = np.zeros(N, [("t", "f8"), ("a", "f4")])
-    reasons = unread(path)
-    starts = {
-        "moments": "cannot be read (No NumPy equivalent",
-        "integers": "cannot be read (data type '<i3'",
-        "empty": "is without samples: its space is null",
-        "cube": "is an array of 4 x 3 x 2; export it as columns",
-        "scaled": "cannot be read (scaled with the attribute scale_factor)",
-        "complex": "holds complex128, not real numbers",
-        "table": "holds [('t'",
-    }
-    assert set(reasons) == set(starts)
-    assert all(reasons[name].startswith(start) for name, start in starts.items())
-    with pytest.raises(TripError, match=r"a\.h5: column 'moments' cannot be read"):
-        read(path, "moments")
-    assert "a.h5: not read: 'complex' holds complex128" in contents_of(path).read_as
-    np.testing.assert_array_equal(read(path, "a")[0], VALUES)
-
-
-def test_references_and_objects_of_matlab_7_3_are_refused(tmp_path):
-    h5py = needed("h5py")
-    with hdf5(tmp_path / "a.h5") as file:
-        file["#refs#/x"] = VALUES[None]
-        file["c"] = np.array([[file["#refs#/x"].ref]], h5py.ref_dtype)
-        file["ts"] = np.arange(6, dtype="u4")
-        file["ts"].attrs.update(MATLAB_class=np.bytes_("timeseries"), MATLAB_object_decode=3)
-    assert unread(tmp_path / "a.h5")["ts"].startswith("is an object of MATLAB (timeseries), whose")
-    assert unread(tmp_path / "a.h5")["c"].startswith("cannot be read (references)")
-
-
 # MAT
 
 
@@ -151,37 +61,30 @@ def test_structs_and_cells_are_looked_into(tmp_path):
     }
 
 
-@pytest.mark.parametrize("suffix", [".mat", ".h5"])
-def test_scalars_at_the_top_of_matlab_files_state_rate_and_unit(tmp_path, suffix):
-    path = tmp_path / f"a{suffix}"
+def test_scalars_at_the_top_of_matlab_files_state_rate_and_unit(tmp_path):
+    path = tmp_path / "a.mat"
     said = {"rate_hz": 500.0, "unit": "g", "start": "2024-05-06 08:00:00", "mass_kg": 3.0}
-    data = {"t": VALUES, "speed": VALUES, "axle_box": VALUES} | said
-    if suffix == ".mat":
-        savemat(path, data)
-    else:
-        h5py = needed("h5py")
-        with h5py.File(path, "w") as file:
-            for name, value in data.items():
-                file[name] = value if isinstance(value, str) else np.atleast_2d(value)
+    savemat(path, {"t": VALUES, "speed": VALUES, "axle_box": VALUES} | said)
     found = {one.name: one for one in contents_of(path).signals}
     assert {name: one.unit for name, one in found.items()} == {"speed": "", "axle_box": "g"}
     assert found["axle_box"].rate_hz == 500.0
-    assert found["axle_box"].zero.date is not None
+    assert found["axle_box"].column.date == "2024-05-06 08:00:00"
     with open_file(path) as file:
         assert file.column("t").unit is None
     savemat(tmp_path / "b.mat", {"axle_box": VALUES, "fs": 500.0})
     np.testing.assert_array_equal(read(tmp_path / "b.mat", None)[0], VALUES)
 
 
-def test_objects_of_matlab_are_named_and_the_rest_is_read(tmp_path):
+def test_files_with_objects_of_matlab_or_of_version_7_3_are_refused(tmp_path):
     path = tmp_path / "a.mat"
     savemat(path, {"a": VALUES})
     with path.open("ab") as stream:
-        stream.write(matlab_object(b"ts", b"timeseries") + matlab_object(b"tt", b"timetable"))
-    found = unread(path)
-    assert found["ts"].startswith("is an object of MATLAB (timeseries), whose content only MATLAB")
-    assert found["tt"].startswith("is an object of MATLAB (timetable)")
-    np.testing.assert_array_equal(read(path, None)[0], VALUES)
+        stream.write(matlab_object(b"ts", b"timeseries"))
+    with pytest.raises(TripError, match=r"a.mat: holds objects of MATLAB, as timeseries, whose"):
+        read(path, "a")
+    path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(400))
+    with pytest.raises(TripError, match=r"a.mat: is a MAT file of version 7.3; save it with -v7"):
+        read(path, "a")
     savemat(path, {"flag": VALUES > 3})
     with pytest.raises(TripError, match=r"no column of numbers: 'flag' holds logical, not"):
         contents_of(path)

@@ -179,8 +179,6 @@ FREE_MEMORY, MEMORY_PER_BYTE = 5 * 2**28, 16
 Columns of MAT and UFF files are read whole: two copies of 8 bytes per sample of 1 or 2 bytes."""
 FREE_S, SECONDS_PER_BYTE, MOST_S = 20.0, 1e-6, 300.0
 """Time [s] that a reader may take for one step: 20 s, plus 1 s per megabyte, at most 300 s."""
-MOST_CHUNK_BYTES = 2**28
-"""Largest chunk of an HDF5 file, which is unpacked whole to read a single sample."""
 
 
 def most_samples(path: Path) -> int:

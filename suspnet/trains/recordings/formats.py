@@ -10,11 +10,11 @@ from pathlib import Path
 
 from suspnet.ground.findings import Finding
 from suspnet.ground.storage import open_plain
-from suspnet.trains.recordings.array_files import open_hdf5, open_mat
 from suspnet.trains.recordings.columns import BLOCK, Block, OpenFile, Reader, check_samples, choose
 from suspnet.trains.recordings.csv_files import open_csv, open_parquet
 from suspnet.trains.recordings.errors import TripError, opening
 from suspnet.trains.recordings.manifest_sources import CsvDialect
+from suspnet.trains.recordings.mat_files import open_mat
 from suspnet.trains.recordings.mdf_files import open_mdf
 from suspnet.trains.recordings.reader_process import in_own_process
 from suspnet.trains.recordings.tdms_files import open_tdms
@@ -59,7 +59,7 @@ def open_columns(
     TDMS channels are named "group/channel", columns of a matrix "name[0]", fields of a struct
     "struct.field"; None is the only column not named. Arrays are float64, NaN where missing, or
     datetime64[ns] for time stamps. Nothing is ever unpickled. All formats except MAT
-    before version 7.3 are read piece by piece, so a file may be larger than memory.
+    are read piece by piece, so a file may be larger than memory.
     The first block raises TripError if the file cannot be read, or a column is missing, ambiguous
     or not numeric.
     """
@@ -115,8 +115,7 @@ CSV_SUFFIXES = (".csv", ".txt", ".tsv", ".asc")
 FORMATS = (
     Format((".parquet",), open_parquet, "pandas"),  # Arrow imports it for its first array
     Format(CSV_SUFFIXES, open_csv, is_confined=False),
-    Format((".mat",), open_mat, "h5py"),
-    Format((".h5", ".hdf5"), open_hdf5, "h5py"),
+    Format((".mat",), open_mat, "scipy.io"),
     Format((".tdms",), open_tdms, "nptdms"),
     Format((".mf4", ".mdf"), open_mdf, "asammdf"),
 )
