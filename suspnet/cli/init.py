@@ -80,10 +80,10 @@ def _write(paths: Sequence[Path], settings: Sequence[str], arguments: Namespace)
     trips = folders.folder_manifests(trip_files, folder, keys, rows, vehicles)
     new = [trip for trip in trips if arguments.force or not os.path.lexists(trip.path)]
     missing = list(dict.fromkeys(key for trip in new for key in trip.missing))
-    of_vehicles = _known_vehicles(vehicles, new)
+    of_vehicles = [] if vehicles is None else ["--config-dir", str(vehicles)]
     options = [*(["--table", str(table)] if table else []), *of_vehicles]
     # remarks come first, so that the list of what is missing, or the next command, ends the output
-    for line in (*unread, *_untimed(new)):
+    for line in unread:
         print(printable(line))
     wrong = _unknown_vehicles(vehicles, new)
     if missing or wrong:
@@ -114,49 +114,23 @@ def _write(paths: Sequence[Path], settings: Sequence[str], arguments: Namespace)
     return 0
 
 
-def _untimed(trips: Sequence[folders.Trip]) -> list[str]:
-    """Return a line on the first file whose times are not used, with the number of others."""
-    lines = [line for trip in trips for line in dict.fromkeys(trip.untimed)]
-    more = f" (likewise {count(len(lines) - 1, 'other file')})" if len(lines) > 1 else ""
-    return [line + more for line in lines[:1]]
-
-
-def _known_vehicles(folder: Path | None, trips: Sequence[folders.Trip]) -> list[str]:
-    """Return the option that names the user's own vehicles, for the next command.
-
-    Without it, a line explains the option for a vehicle that suspnet does not have.
-    """
-    if folder is not None:
-        return ["--config-dir", str(folder)]
-    names = {str(trip.known["vehicle"].value) for trip in trips if "vehicle" in trip.known}
-    own = sorted(name for name in names if not is_shipped(name))
-    for name in own:
-        print(
-            printable(
-                f"{name} is no vehicle of suspnet's: say vehicle=am96 or another of them if that "
-                "is a number of the train, or give --config-dir DIR, the folder with "
-                f"vehicle/{name}.yaml ({command('init', '--vehicle', name)} lists what it "
-                "needs); without it swapped sensors, units and signs are not checked"
-            )
-        )
-    return ["--config-dir", "DIR"] if own else []
-
-
 def _unknown_vehicles(folder: Path | None, trips: Sequence[folders.Trip]) -> list[str]:
     """Return a line on each vehicle of the trips that neither the folder nor suspnet has."""
-    if folder is None:
-        return []
-    from suspnet.cli.kinds import vehicles_with  # with Hydra
+    own: set[str] = set()
+    if folder is not None:
+        from suspnet.cli.kinds import vehicles_with  # with Hydra
 
-    names = sorted({vehicle.name for vehicle in vehicles_with(folder).values()})
+        own = {vehicle.name for vehicle in vehicles_with(folder).values()}
     stated = dict.fromkeys(t.known["vehicle"] for t in trips if "vehicle" in t.known)
     return [
         printable(
-            f"  vehicle: must be one of {', '.join(names)}, got {vehicle.value!r} "
-            f"({vehicle.source}); vehicle=NAME says it for all trips"
+            f"  vehicle: {vehicle.value!r} ({vehicle.source}) is no vehicle of suspnet's"
+            f"{f', nor of {folder}' if folder else ''}: vehicle=am96 or another of them says it "
+            "for all trips; of yours, give --config-dir DIR, the folder with "
+            f"vehicle/{vehicle.value}.yaml, which suspnet init --vehicle writes"
         )
         for vehicle in stated
-        if vehicle.value not in names
+        if str(vehicle.value) not in own and not is_shipped(str(vehicle.value))
     ]
 
 

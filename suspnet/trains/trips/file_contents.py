@@ -8,13 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from suspnet.ground.parameters import ENDS, SIDES
+from suspnet.ground.parameters import SIDES
 from suspnet.ground.types import FloatArray
-from suspnet.trains.recordings.clocks import likely_time_unit
 from suspnet.trains.recordings.columns import Column, OpenFile, size_of, unit_in_name
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.formats import open_file, read_columns
-from suspnet.trains.recordings.logger_notes import WORDS, choice_of, key_of
+from suspnet.trains.recordings.logger_notes import WORDS, key_of
 from suspnet.trains.recordings.manifest import CHANNELS
 from suspnet.trains.recordings.manifest_sources import TIME_UNITS
 
@@ -36,14 +35,6 @@ _WORDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 }
 """For each meaning, parts of words and whole words that have it. The first match counts: an axle
 box is also on a bogie, and a bogie also belongs to a car."""
-_BOGIE_NUMBER = re.compile(r"(?:bogie|drehgestell|dg)[\s_.-]*([12])(?!\d)")
-_AXLE_NUMBER = re.compile(
-    r"(?:axle|achse|achslager|radsatz|radsatzlager|wheelset|box|ws|rs|ecke|corner|\bal)"
-    r"[\s_.-]*([1-4])(?!\d)"
-)
-_UNITS = {"ms2": "m/s2", "mps2": "m/s2", "g": "g", "mg": "mg", "mps": "m/s"} | dict.fromkeys(
-    ("kmh", "kph"), "km/h"
-)
 _TIMES = ("t", "datetime", "datum", "uhrzeit", "seconds", "sec", "utc")
 _TIME_BEGINS = ("time", "zeit")
 _OTHER_DIRECTIONS = ("x", "y", "lateral", "longitudinal", "quer", "laengs", "längs", "lat", "long")
@@ -81,31 +72,6 @@ def guessed_side(*names: str) -> str:
         if len(sides) == 1:
             return sides[0]
     return ""
-
-
-def guessed_bogie(*names: str) -> tuple[str, str]:
-    """Return the bogie that the first name states, and the word that does; both empty if none.
-
-    Bogie 1 is the leading one of a vehicle that runs forward.
-    """
-    for name in names:
-        if number := _BOGIE_NUMBER.search(name.lower()):
-            return ENDS[int(number[1]) - 1], number[0]
-        if chosen := choice_of("bogie", name):
-            return chosen, chosen
-    return "", ""
-
-
-def guessed_axle(*names: str) -> int:
-    """Return the number of an axle by the first name that states 1 to 4; 0 if none does.
-
-    3 and 4 are those of a vehicle, 1 and 2 may be those of a bogie.
-
-    >>> guessed_axle("Achslager 2 links"), guessed_axle("axle_box_left"), guessed_axle("WS12")
-    (2, 0, 0)
-    """
-    matches = (_AXLE_NUMBER.search(name.lower()) for name in names)
-    return next((int(match[1]) for match in matches if match), 0)
 
 
 def is_of_another_direction(column: str) -> bool:
@@ -156,9 +122,7 @@ class Signal:
         """Channel or speed, by names and unit; empty if these do not show it."""
         if key_of(self.name) == MILEAGE:
             return ""
-        # DG1 is that of a body in "DG1 Wagenkasten", and the place itself in "DG1_L"
-        unnumbered = (re.sub(r"\d+", " ", name) for name in self.names)
-        guess = guessed_meaning(*self.names) or guessed_meaning(*unnumbered)
+        guess = guessed_meaning(*self.names)
         if size_of(SPEED, self.unit) is not None:
             return SPEED
         is_acceleration = size_of(ACCELERATION, self.unit) is not None
@@ -172,16 +136,12 @@ class Signal:
 
 @dataclass(frozen=True)
 class Contents:
-    """Columns of numbers of a file, how it is read if that was detected, and its logger's notes.
-
-    `untimed` is why its column of times is not used, empty if it is or there is none.
-    """
+    """Columns of numbers of a file, how it is read if that was detected, and its logger's notes."""
 
     file: Path
     signals: tuple[Signal, ...]
     read_as: str = ""
     notes: tuple[str, ...] = ()
-    untimed: str = ""
 
 
 def contents_of(file: Path) -> Contents:
@@ -192,28 +152,19 @@ def contents_of(file: Path) -> Contents:
     with open_file(file) as opened:
         columns = opened.columns[:MOST_COLUMNS]
         # times first: other columns take their rate from them
-        named = {
-            column.name: _times(file, opened, column.name)
-            for column in columns
-            if column.is_time or names_times(column.name)
-        }
-        times = {name: values for name, (values, _) in named.items() if len(values) > 1}
-        falls = {name: f"{file.name}: {why}" for name, (_, why) in named.items() if why}
-        others = [c for c in columns if not (c.is_time or c.unread or c.name in {*times, *falls})]
+        names = [column.name for column in columns if column.is_time or names_times(column.name)]
+        times = {name: values for name in names if len(values := _times(file, opened, name)) > 1}
+        others = [c for c in columns if not (c.is_time or c.unread or c.name in times)]
         inspected = [_signal(file, opened, column, times) for column in others]
         refused = "; ".join(f"{c.name!r} {c.unread}" for c in columns if c.unread)
     signals = [signal for signal in inspected if signal is not None]
     if not signals:
         raise TripError(f"{file} holds no column of numbers{': ' if refused else ''}{refused}")
-    # a file DG2 of many columns is that of a bogie with all of its places
-    is_bogie = bool(_BOGIE_NUMBER.search(file.stem.lower()))
     has_channels = bool({signal.meaning for signal in signals} & set(CHANNELS))
-    if len(signals) <= len(SIDES) or not (is_bogie or has_channels):
+    if len(signals) <= len(SIDES) or not has_channels:
         signals = [_named_by_its_file(signal) for signal in signals]
-    untimed = next(iter(falls.values()), "") if not times else ""
-    words = [opened.words, f"{file.name}: not read: {refused}" if refused else "", untimed]
-    read_as = "; ".join(filter(None, words))
-    return Contents(file, tuple(signals), read_as, opened.notes, untimed)
+    words = [opened.words, f"{file.name}: not read: {refused}" if refused else ""]
+    return Contents(file, tuple(signals), "; ".join(filter(None, words)), opened.notes)
 
 
 def _named_by_its_file(signal: Signal) -> Signal:
@@ -230,26 +181,18 @@ def _first(file: Path, opened: OpenFile, name: str) -> FloatArray:
         return np.empty(0)
 
 
-def _times(file: Path, opened: OpenFile, name: str) -> tuple[FloatArray, str]:
+def _times(file: Path, opened: OpenFile, name: str) -> FloatArray:
     """Return the first times of a column, [s] or its own unit; empty if they do not increase.
 
-    Some may be missing, and a clock may start again. Why times do not increase is returned too.
+    Some may be missing, and a clock may start again.
     """
     block = _first(file, opened, name)
     if block.dtype.kind == "M":
         block = block[~np.isnat(block)]
         block = np.asarray((block - block[0]) / np.timedelta64(1, "s") if len(block) else [])
     block = block[np.isfinite(block)]
-    steps = np.diff(block)
-    if len(steps) and (steps > 0).mean() >= MOSTLY_RISING:
-        return np.asarray(block, dtype=np.float64), ""
-    if not steps.any() or np.corrcoef(block, np.arange(len(block)))[0, 1] < MOSTLY_RISING:
-        return np.empty(0), ""  # they are no times, whatever their name says
-    i = np.flatnonzero(steps <= 0)[0]
-    return np.empty(0), (
-        f"the times {name!r} must rise, but {block[i + 1]:.9g} follows {block[i]:.9g} (sample "
-        f"{i + 2}), so they are not used; mend them, or rate_hz takes the samples as evenly spaced"
-    )
+    is_rising = len(block) > 1 and (np.diff(block) > 0).mean() >= MOSTLY_RISING
+    return np.asarray(block, dtype=np.float64) if is_rising else np.empty(0)
 
 
 def _signal(
@@ -265,15 +208,11 @@ def _signal(
         shared = (name for name in times if not opened.column(name).is_by_name)
         time = column.time or next(shared, "")
         rate_hz, time_unit = _rate(opened, time, times[time]) if time in times else (np.nan, "")
-    if time and not time_unit and guessed_meaning(column.name) != SPEED:
-        stated = opened.column(time).unit or unit_in_name(time)
-        time_unit = "" if stated else likely_time_unit(rate_hz)
-        rate_hz /= TIME_UNITS[time_unit or "s"]
     finite = values[np.isfinite(values)]
     return Signal(
         file=file,
         column=column,
-        unit=column.unit or unit_in_name(column.name) or _unit_word(column.name),
+        unit=column.unit or unit_in_name(column.name),
         rate_hz=rate_hz,
         time=time,
         time_unit=time_unit,
@@ -290,10 +229,3 @@ def _rate(opened: OpenFile, time: str, times: FloatArray) -> tuple[float, str]:
     named = words[-1] if words and not stated and not column.is_time else ""
     step = float(np.median(np.diff(times))) * (size_of("time", stated or named) or 1.0)
     return 1 / step, named
-
-
-def _unit_word(name: str) -> str:
-    """Return a unit that is a separate word of a column's name; empty if there is none."""
-    written = re.findall(r"km/h|m/s\^?[2²]|m/s", name)
-    spelled = [_UNITS[word] for word in words_of(name)[1:] if word in _UNITS]
-    return (written or spelled or [""])[-1]

@@ -34,8 +34,6 @@ from suspnet.trains.trips.file_contents import (
     Contents,
     Signal,
     contents_of,
-    guessed_axle,
-    guessed_bogie,
     is_of_another_direction,
     words_of,
 )
@@ -82,7 +80,7 @@ class Trip:
     """A trip: path and text of its manifest, its files, and what is known of it.
 
     `missing` are the keys that are to be said, of ``HOW`` or ``channels.NAME``; `guesses` those
-    that are guessed from names. `untimed` are reasons why times of files are not used.
+    that are guessed from names.
     """
 
     path: Path
@@ -92,7 +90,6 @@ class Trip:
     text: str
     missing: tuple[str, ...]
     guesses: tuple[str, ...]
-    untimed: tuple[str, ...] = ()
 
 
 def read_said(words: Iterable[str]) -> dict[str, str]:
@@ -149,8 +146,7 @@ def folder_manifests(
         for name in sorted(names[one.path] & set(table)):
             of_trip |= table[name]
         signals = _signals(several)
-        # the later ones count more
-        known = _guessed(one.path, signals) | _stated(one, several, signals, folder)
+        known = _stated(one, several, signals, folder)
         trips.append(_trip(one, several, signals, known | of_all | of_trip, said, config_dir))
     _check_columns(said, trips)
     if MILEAGE in said and len(trips) > 1:
@@ -180,15 +176,6 @@ def _signals(contents: Sequence[Contents]) -> list[Signal]:
     if len({content.file.parent for content in contents}) == 1:
         return signals
     return [replace(s, names=(*s.names, s.file.parent.name)) for s in signals]
-
-
-def _guessed(path: Path, signals: Sequence[Signal]) -> dict[str, Stated]:
-    """Return the bogie that the names of columns, or else of the trip, state."""
-    of_columns = {guessed_bogie(*signal.names) for signal in signals} - {("", "")}
-    (bogie, word), source = guessed_bogie(path.stem), "files"
-    if len({end for end, _ in of_columns}) == 1:
-        (bogie, word), source = min(of_columns), "columns"
-    return {"bogie": Stated(bogie, f"guess by {source} named {word}")} if bogie else {}
 
 
 def _stated(
@@ -262,8 +249,7 @@ def _trip(
         required.append("side")
     missing = tuple(dict.fromkeys([*required, *writer.missing]))
     text = "\n".join(map(_on_one_line, lines)) + "\n"
-    untimed = tuple(content.untimed for content in contents if content.untimed)
-    return Trip(path, trip.files, known, own, text, missing, tuple(writer.guesses), untimed)
+    return Trip(path, trip.files, known, own, text, missing, tuple(writer.guesses))
 
 
 def _stated_line(key: str, stated: Stated) -> str:
@@ -290,7 +276,7 @@ class _Writer:
     def channel(self, name: str, candidates: Sequence[Signal]) -> list[str]:
         """Return the lines of a channel: one sensor, or a left and a right one, at each axle."""
         vertical = [s for s in candidates if not is_of_another_direction(s.name)] or candidates
-        axles = _axles(vertical) if name != CHANNELS[2] else [1] * len(vertical)
+        axles = [signal.axle or 1 for signal in vertical]
         sides = [[s.side for s, a in zip(vertical, axles, strict=True) if a == at] for at in (1, 2)]
         if not vertical or any(len(own) > 1 and sorted(own) != sorted(SIDES) for own in sides):
             self.missing.append(f"channels.{name}")
@@ -337,15 +323,6 @@ class _Writer:
             self.missing.append(f"{prefix}rate_hz")
         inside = ", ".join(f"{k}: {_yaml(v)}" for k, v in content.items() if v is not None)
         return f"{{{inside}}}  # {'; '.join(words)}"
-
-
-def _axles(signals: Sequence[Signal]) -> list[int]:
-    """Return the bogie's axle of each sensor: as said, by names with both and sides, else 1."""
-    stated = [signal.axle for signal in signals]
-    named = [guessed_axle(*signal.names) for signal in signals if signal.side]
-    if not any(stated) and len(named) == len(stated) and set(named) in ({1, 2}, {3, 4}):
-        return [2 - number % 2 for number in named]  # without sides they may be left and right
-    return [axle or 1 for axle in stated]
 
 
 def _yaml(value: object) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
@@ -13,7 +13,6 @@ from suspnet.ground.parameters import SIDES
 from suspnet.ground.storage import distinct
 from suspnet.ground.wording import natural
 from suspnet.trains.recordings.formats import READERS
-from suspnet.trains.recordings.manifest import CHANNELS
 from suspnet.trains.trips.file_contents import guessed_meaning, guessed_side, words_of
 
 DEEPEST = 3
@@ -45,8 +44,7 @@ def find_trip_files(
 
     Files of one folder whose names are equal without words for a place, a side or a receiver are of
     one trip: ``run_1_axle.csv``, ``run_1_bogie.csv`` and ``run_1_gps.csv``. A folder whose files
-    have no other word, as ``run_1/axle.csv`` and ``run_1/bogie.csv``, is a trip by itself. Folders
-    next to each other may be named by places as well: ``axle/run_1.csv``, ``bogie/run_1.csv``.
+    have no other word, as ``run_1/axle.csv`` and ``run_1/bogie.csv``, is a trip by itself.
     `loggers` are more such words; the files `besides` are left out. FileNotFoundError is raised if
     there is no such folder or no data file in it.
     """
@@ -57,10 +55,9 @@ def find_trip_files(
     files = [p for p in paths if p.suffix.lower() in READERS and p.is_file()]
     unread = _unread(set(paths) - set(files))
     files = [file for file in files if file.resolve() not in left_out]
-    places = _folders_of_places({file.parent for file in files})
     by_trip: dict[Path, list[Path]] = {}
     for file in files:
-        by_trip.setdefault(_trip_of(file, folder, loggers, places), []).append(file)
+        by_trip.setdefault(_trip_of(file, folder, loggers), []).append(file)
     if not by_trip:
         others = unread or [f"they end with {', '.join(sorted(READERS))}"]
         raise FileNotFoundError(f"{folder} holds no data file; {'; '.join(others)}")
@@ -100,23 +97,13 @@ def without_word(name: str, word: str) -> str:
     return re.sub(rf"(?<![^\W_]){re.escape(word)}(?![^\W_])", "", name, flags=re.IGNORECASE)
 
 
-def _trip_of(file: Path, folder: Path, loggers: Iterable[str], places: Collection[Path]) -> Path:
+def _trip_of(file: Path, folder: Path, loggers: Iterable[str]) -> Path:
     """Return the path of a file's trip, without a suffix: by its name, or by that of its folder."""
-    home = file.parent.parent if file.parent in places else file.parent
+    home = file.parent
     rest = _without_places(reduce(without_word, loggers, file.stem))
     if not rest:
         return folder / folder.resolve().name if home == folder else home
     return home / re.sub(r"[\W_]*[_\s-][\W_]*", "_", rest)
-
-
-def _folders_of_places(folders: Iterable[Path]) -> set[Path]:
-    """Return the folders that are named by nothing but places, of several channels."""
-    by_parent: dict[Path, dict[Path, str]] = {}
-    for folder in folders:
-        if not _without_places(folder.name):
-            by_parent.setdefault(folder.parent, {})[folder] = guessed_meaning(folder.name)
-    several = (own for own in by_parent.values() if len(set(own.values()) & set(CHANNELS)) > 1)
-    return {folder for own in several for folder in own}
 
 
 def _without_places(name: str) -> str:
