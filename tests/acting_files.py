@@ -17,7 +17,7 @@ from scipy.io import savemat
 
 from suspnet.trains.recordings.formats import FORMATS
 
-SUFFIXES = [form.suffixes[0] for form in FORMATS]
+SUFFIXES = [".csv", *(suffixes[0] for suffixes in FORMATS)]
 SECRET = 42.625
 """Value of each sample of ``secret.mat``; ``secret`` holds its bytes."""
 A = np.arange(50.0)

@@ -174,7 +174,7 @@ def no_file(folder: Path, *, suffix: str, kind: str) -> Path:
 
 
 NOT_FILES = ("pipe", "folder", "socket", "loop", "/dev/zero", "/dev/random", "/dev/tty")
-SUFFIXES = [form.suffixes[0] for form in FORMATS]
+SUFFIXES = [".csv", *(suffixes[0] for suffixes in FORMATS)]
 ROWS = "t,a\n" + "".join(f"{i},{i}\n" for i in range(40_000))
 DECLARING = {
     **{f"mat of {n:.0e}": partial(mat, n=n) for n in (10**8, 2 * 10**9)},

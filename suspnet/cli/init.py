@@ -15,8 +15,7 @@ from suspnet.ground.wording import command, count
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.trips import folder_manifests as folders
 from suspnet.trains.trips.grouping import lone_trains
-from suspnet.trains.trips.trip_files import TripFiles, find_trip_files
-from suspnet.trains.trips.trip_table import read_table, table_of
+from suspnet.trains.trips.trip_files import TripFiles, find_trip_files, read_table, table_of
 
 LEFT_OPEN = {
     "bogie": "is taken as the leading one, which decides how the other bogie and the body's pitch "

@@ -98,7 +98,9 @@ def test_mat_columns_must_be_real_vectors_of_one_length(tmp_path):
     savemat(path, {"z": np.ones(4) * 1j, "m": np.ones((2, 2)), "s": "text", "a": [1.0, 2], "t": 1})
     with pytest.raises(TripError, match=r"column 'z' holds complex128, not real numbers"):
         read(path, "z")
-    with pytest.raises(TripError, match=r"no column 'm' of numbers; it has \['z', 'a', 't'\]"):
+    with pytest.raises(TripError, match=r"no column 'm' of numbers; it has \['z', 'm\[0\]', "):
+        TripError, match=r"no column 'm' of numbers; it has \['z', 'm\[0\]', 'm\[1\]', 'a'"
+    ):
         read(path, "m")
     with pytest.raises(TripError, match=r"columns \['t', 'a'\] have different lengths \[1, 2\]"):
         read(path, "t", "a")

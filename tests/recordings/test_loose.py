@@ -8,7 +8,7 @@ from scipy.ndimage import binary_erosion
 from trip_fixtures import RATES_HZ, changed, signal, write_trips
 from vehicles import AM96
 
-from suspnet.trains.recordings import loose as loose_sensors
+from suspnet.trains.recordings import dead_sensors
 from suspnet.trains.recordings.manifest import CHANNELS
 from suspnet.trains.recordings.manifest_files import read_manifest
 from suspnet.trains.recordings.recording import load_recording
@@ -24,7 +24,7 @@ KINDS = ("noise", "nearly constant", "hum", "traction hum", "loud noise")
 
 def find_loose(*known):
     """Return the faults, where any sensor is loose, and where motion is too weak."""
-    faults, loose, silent = loose_sensors.find_loose(*known)
+    faults, loose, silent = dead_sensors.find_loose(*known)
     return faults, loose.any(axis=0), silent
 
 

@@ -11,9 +11,8 @@ from scipy.io import savemat
 from suspnet.trains.recordings.columns import size_of, unit_in_name
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.formats import READERS, open_columns, open_file
+from suspnet.trains.recordings.logger_files import open_mdf, open_tdms
 from suspnet.trains.recordings.manifest_sources import SensorSource, SpeedSource
-from suspnet.trains.recordings.mdf_files import open_mdf
-from suspnet.trains.recordings.tdms_files import open_tdms
 
 STATING = (".tdms", ".mf4")
 """Formats in which unit and rate may stand."""
@@ -95,7 +94,7 @@ def test_structs_and_matrices_have_columns(tmp_path):
         column = file.column("trip.box.data")
         assert (column.unit, column.rate_hz) == ("m/s^2", 500.0)
     np.testing.assert_array_equal(next(open_columns(path, ["m[1]"]))[0], [1, 3, 5, 7])
-    with pytest.raises(TripError, match=r"no column 'm' .*the matrix 'm' has columns 'm\[0\]' to"):
+    with pytest.raises(TripError, match=r"no column 'm' .*it has \['m\[0\]', 'm\[1\]', 'n', "):
         next(open_columns(path, ["m"]))
 
 

@@ -37,9 +37,6 @@ DATED_S = (3.15e8, 4.1e9)
 LONGEST_STEP_S = 60.0
 """Longest step of times [s] that count as seconds since 1970: a counter of nanoseconds passes their
 numbers within seconds."""
-USUAL_HZ = (50.0, 50e3)
-"""Rates of accelerometers from which the unit of times is inferred: a factor of 1000, so that only
-one unit fits."""
 LEAST_STEPS = 8
 """Least number of steps of the first block by which jumps of the times are judged."""
 SAME_NS = 1000
@@ -86,17 +83,13 @@ class Times:
         self.where, self.source, self.column = where, source, column
         start_ns = column.start_ns if start_ns is None else start_ns
         self.zero = Zero(start_ns, not column.is_local, is_stated=start_ns is not None)
-        self._begun = self._is_assumed = False
+        self._begun = False
         self._size, self._first = 1.0, 0.0
         self._usual: float | None = None
         self._last: Any = None
         self._shift = 0
         self._repairs: Counter[str] = Counter()
         self.n_untimed = 0
-
-    def likely_unit(self, rate_hz: float) -> str:
-        """Return `likely_time_unit` if neither file nor manifest states the unit."""
-        return likely_time_unit(rate_hz) if self._is_assumed else ""
 
     @property
     def words(self) -> list[str]:
@@ -214,7 +207,6 @@ class Times:
         low, high = DATED_S
         dated = [s for s in sizes if low <= first * s <= high and step * s < LONGEST_STEP_S]
         self._size = dated[0] if dated else (size or 1.0)
-        self._is_assumed = size is None and not dated
         if dated:
             whole_s = int(first * self._size)
             self._first = whole_s / self._size
@@ -226,19 +218,6 @@ class Times:
                 raise TripError.at(self.where, "zone-for-numbers")
             ahead = self._offset_ns(self.zero.ns, self.source.time_zone)
             self.zero = replace(self.zero, ns=self.zero.ns - ahead, is_zoned=True)
-
-
-def likely_time_unit(rate_hz: float) -> str:
-    """Return the unit of an accelerometer's times that gives a usual rate; empty if seconds do.
-
-    `rate_hz` is the rate of times in seconds.
-
-    >>> likely_time_unit(0.0002), likely_time_unit(200.0)
-    ('us', '')
-    """
-    low, high = USUAL_HZ
-    units = [unit for unit, size in TIME_UNITS.items() if low <= rate_hz / size < high]
-    return units[0] if units and rate_hz < low else ""
 
 
 def header_date(column: Column) -> datetime | None:

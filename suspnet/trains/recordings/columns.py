@@ -73,14 +73,13 @@ class OpenFile:
     """A file that is open for reading.
 
     `read` yields blocks of the named columns. `words` states how the file is read if this was
-    detected. `hint` is added to the message about a missing column. `notes` are lines in which the
-    logger describes the recording. `remarks` grow while blocks are read: what was left out.
+    detected. `notes` are lines in which the logger describes the recording. `remarks` grow while
+    blocks are read: what was left out.
     """
 
     columns: tuple[Column, ...]
     read: Callable[[Sequence[str]], Iterator[Block]]
     words: str = ""
-    hint: str = ""
     notes: tuple[str, ...] = ()
     remarks: list[str] = field(default_factory=list)
 
@@ -102,10 +101,8 @@ def choose(path: Path, file: OpenFile, columns: Sequence[str | None]) -> list[st
     named = [name for name in columns if name is not None]
     for name in named:
         if name not in present:
-            listed = [c.name for c in file.columns if not (c.is_by_name or c.unread)]
-            kind = "no-column-but-matrix" if file.hint else "no-column"
-            values = {"name": repr(name), "names": listing(listed), "matrix": file.hint}
-            raise TripError(Finding(kind, path=path, **values))
+            listed = listing([c.name for c in file.columns if not c.unread])
+            raise TripError(Finding("no-column", path=path, name=repr(name), names=listed))
         if reason := file.column(name).unread:
             raise TripError(Finding("column-unread", path=path, name=repr(name), unread=reason))
     # the column of times of another one is never the only one left

@@ -65,16 +65,10 @@ _SPEED = re.compile(r"(\d+(?:[.,]\d+)?) *(km/h|m/s)")
 
 @dataclass(frozen=True)
 class Stated:
-    """Value of a key of a manifest, where it is from, and the text there."""
+    """Value of a key of a manifest, and where it is from."""
 
     value: str | float
     source: str
-    text: str = ""
-
-    @property
-    def comment(self) -> str:
-        """Where the value is from, with the text there."""
-        return f"{self.source}: {self.text}" if self.text else self.source
 
 
 def stated_in(lines: Iterable[str]) -> dict[str, Stated]:
@@ -96,7 +90,7 @@ def stated_in(lines: Iterable[str]) -> dict[str, Stated]:
         if value is not None:
             name, content = value
             source = f"by the line {match['name'].strip()!r}"
-            stated.setdefault(name, Stated(content, source, line.strip()))
+            stated.setdefault(name, Stated(content, source))
     return stated
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.io import loadmat, whosmat
 from scipy.io.matlab import MatlabFunction, mat_struct
 
-from suspnet.ground.findings import Finding, together
+from suspnet.ground.findings import Finding
 from suspnet.trains.recordings.columns import (
     Block,
     Column,
@@ -128,7 +128,6 @@ def _opened(
     """Return arrays by name as a file; a matrix has a column ``name[i]`` for each of its own."""
     columns = [Column(name, unread=why) for name, why in refused.items()]
     takes: dict[str, tuple[int, Take]] = {}
-    matrices = []
     for name, array in arrays.items():
         shape = array.shape
         if min(shape) == 0:
@@ -138,8 +137,6 @@ def _opened(
         places = {name: 0}
         if not is_vector(shape):
             places = {f"{name}[{i}]": i for i in range(min(shape))}
-            first, last = (repr(f"{name}[{i}]") for i in (0, min(shape) - 1))
-            matrices.append(Finding("matrix-columns", name=repr(name), first=first, last=last))
         for place, i in places.items():
             columns.append(Column(place, is_by_name=is_rate or place != name, **notes[name]))
             takes[place] = (max(shape), _take(array, axis, i))
@@ -153,7 +150,7 @@ def _opened(
                 raise TripError.at(path, "column-not-real", name=repr(name), value=kind)
         return slices(path, names, takes)
 
-    return OpenFile(tuple(columns), read, hint=together(matrices[:3]))
+    return OpenFile(tuple(columns), read)
 
 
 def _take(array: Any, axis: int, i: int) -> Take:

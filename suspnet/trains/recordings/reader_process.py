@@ -97,7 +97,6 @@ def in_own_process(reader: Reader, library: str | None = None) -> Reader:
                 ),
                 read=read,
                 words=restored(description["words"]),
-                hint=restored(description["hint"]),
                 notes=tuple(description["notes"]),
             )
         finally:

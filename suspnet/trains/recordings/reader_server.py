@@ -143,7 +143,6 @@ def _description(file: OpenFile) -> dict[str, Any]:
     return {
         "columns": [asdict(column) | {"unread": stored(column.unread)} for column in file.columns],
         "words": stored(file.words),
-        "hint": stored(file.hint),
         "notes": short_lines(file.notes)[:MOST_NOTES],
     }
 

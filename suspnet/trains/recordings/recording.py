@@ -27,11 +27,16 @@ from suspnet.ground.wording import ShortRepr
 from suspnet.trains.recordings.cleaning import Cleaner, Fault
 from suspnet.trains.recordings.clock_drift import clock_faults
 from suspnet.trains.recordings.clocks import first_moment, offsets_s
-from suspnet.trains.recordings.dead_sensors import DEAD, dead_faults, living, nearly_dead
+from suspnet.trains.recordings.dead_sensors import (
+    DEAD,
+    dead_faults,
+    find_loose,
+    living,
+    nearly_dead,
+)
 from suspnet.trains.recordings.errors import TripError, all_of
-from suspnet.trains.recordings.loose import find_loose
 from suspnet.trains.recordings.manifest import CHANNELS, TripManifest
-from suspnet.trains.recordings.manifest_sources import TIME_UNITS, channel_of, partner_of
+from suspnet.trains.recordings.manifest_sources import channel_of, partner_of
 from suspnet.trains.recordings.sensor import PASS, SensorSignal, SensorStream
 from suspnet.trains.recordings.sources import open_source, zero_of
 from suspnet.trains.recordings.speed import SpeedTrack, read_speed, speed_at
@@ -303,11 +308,8 @@ def _read_sensor(
         first_block = next(blocks)  # read first: time stamps then give the approximate rate
         rate_hz = source.known_rate_hz
         if rate_hz < 0.99 * wanted_hz:
-            unit = "" if source.times is None else source.times.likely_unit(rate_hz)
-            kind = "rate-too-low-unit" if unit else "rate-too-low"
-            hz = rate_hz / TIME_UNITS[unit] if unit else None
-            values = {"rate_hz": rate_hz, "wanted_hz": wanted_hz, "unit": unit, "hz": hz}
-            raise TripError(Finding(kind, where=where, **values))
+            values = {"rate_hz": rate_hz, "wanted_hz": wanted_hz}
+            raise TripError(Finding("rate-too-low", where=where, **values))
         if rate_hz > HIGHEST_HZ:
             values = {"rate_hz": rate_hz, "highest_hz": HIGHEST_HZ}
             raise TripError(Finding("rate-too-high", where=where, **values))

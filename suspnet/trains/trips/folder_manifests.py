@@ -37,8 +37,7 @@ from suspnet.trains.trips.file_contents import (
     is_of_another_direction,
     words_of,
 )
-from suspnet.trains.trips.trip_files import TripFiles, without_word
-from suspnet.trains.trips.trip_table import names_of
+from suspnet.trains.trips.trip_files import TripFiles, names_of, without_word
 
 CHOICES: Mapping[str, tuple[str, ...]] = {
     "bogie": ENDS,
@@ -253,7 +252,7 @@ def _trip(
 
 
 def _stated_line(key: str, stated: Stated) -> str:
-    return f"{key}: {_yaml(stated.value)}  # {stated.comment}"
+    return f"{key}: {_yaml(stated.value)}  # {stated.source}"
 
 
 class _Writer:
