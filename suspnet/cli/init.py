@@ -66,14 +66,14 @@ def _write(paths: Sequence[Path], settings: Sequence[str], arguments: Namespace)
             raise ValueError("--output is for the manifest of one trip; a folder's lie in it")
         (folder,) = paths
         tables = [table] if table else []
-        trip_files, unread = find_trip_files(folder, tables, folders.loggers_of(keys))
+        trip_files = find_trip_files(folder, tables, folders.loggers_of(keys))
     else:
         path = arguments.output or paths[0].with_suffix(".yaml")
         if path.suffix != ".yaml":
             raise ValueError(f"the name of a manifest must end with .yaml, got {path}")
         if os.path.lexists(path) and not arguments.force:
             raise ValueError(f"{path} exists; --force replaces it, --output writes another")
-        folder, trip_files, unread = path.parent, [TripFiles(path, tuple(paths))], []
+        folder, trip_files = path.parent, [TripFiles(path, tuple(paths))]
     rows = read_table(table) if table and table.exists() else {}
     vehicles = arguments.config_dir or own_vehicles(keys.get("vehicle", ""))
     trips = folders.folder_manifests(trip_files, folder, keys, rows, vehicles)
@@ -81,9 +81,6 @@ def _write(paths: Sequence[Path], settings: Sequence[str], arguments: Namespace)
     missing = list(dict.fromkeys(key for trip in new for key in trip.missing))
     of_vehicles = [] if vehicles is None else ["--config-dir", str(vehicles)]
     options = [*(["--table", str(table)] if table else []), *of_vehicles]
-    # remarks come first, so that the list of what is missing, or the next command, ends the output
-    for line in unread:
-        print(printable(line))
     wrong = _unknown_vehicles(vehicles, new)
     if missing or wrong:
         print(f"{count(len(new), 'trip')} in {folder}; nothing is written yet; ", end="")

@@ -67,17 +67,11 @@ class Assembler:
     does not depend on how a signal is cut into frames, or on their order as long as no frame
     arrives after more than `window` later ones.
 
-    Attributes
-    ----------
-    counts : Counter
-        Accepted frames ("taken"); rejected frames: "duplicate", "late" (its place has become a
-        gap), "clock" (starts before the end of the samples so far), "far" (beyond the longest gap);
-        and "gap", "gap_samples", "missing" (sequence numbers that did not arrive in time) and
-        "restart" (of the sequence).
-    first_ns : int or None, [ns]
-        Time of the first sample.
-    n_samples : int
-        Number of samples returned, including those of gaps.
+    `counts` has accepted frames ("taken"); rejected frames: "duplicate", "late" (its place has
+    become a gap), "clock" (starts before the end of the samples so far), "far" (beyond the longest
+    gap); and "gap", "gap_samples", "missing" (sequence numbers that did not arrive in time) and
+    "restart" (of the sequence). `first_ns` is the time of the first sample, `n_samples` the number
+    of samples returned, including those of gaps.
     """
 
     def __init__(self, rate_hz: float, settings: OrderSettings | None = None) -> None:

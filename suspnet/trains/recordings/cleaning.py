@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,7 @@ from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.trains.recordings import faults as detect
 
 KINDS = (
-    *("gap", "spike", "saturation", "constant", "offset", "drift", "zero", "jump", "stuck"),
+    *("gap", "spike", "saturation", "constant", "offset", "zero", "jump", "stuck"),
     *("loose", "clock", "dead"),
 )
 """Kinds of faults; zero, jump and stuck concern the speed, the last three several sensors."""
@@ -33,9 +33,8 @@ SATURATION_FRACTION, SATURATION_SAMPLES = 0.999, 4
 number of equal samples in a row at the highest or lowest value of a window."""
 CONSTANT_S = 0.1
 """Duration beyond which identical values are marked as those of a dead sensor, [s]."""
-DRIFT_FRACTION = 0.5
-"""Fraction of the standard deviation above which a mean, or a change of level between the first and
-the last tenth, is reported."""
+OFFSET_FRACTION = 0.5
+"""Fraction of the standard deviation above which a mean is reported."""
 ODD_MEAN_M_PER_S2, LARGEST_MEAN_M_PER_S2 = 30.0, 5000.0
 """Means above which a sensor's unit is doubted, and refused: gravity has 9.81 m/s2, a zero point
 that was not subtracted about the sensor's range, and gravity in mg read as g 9,810 m/s2."""
@@ -47,9 +46,9 @@ class Fault:
 
     `kind` is one of ``KINDS``; the channel may be "speed". `seconds` is the total duration and
     `first_s` the first occurrence on the trip's clock. `repaired` samples were interpolated, or a
-    later high-pass filter removes the fault (offset and drift); others are marked as unusable.
-    `size_m_per_s2` is the mean of an offset or the change of level of a drift. `words` describes a
-    clock fault, or a loose or dead sensor.
+    later high-pass filter removes the fault (offset); others are marked as unusable.
+    `size_m_per_s2` is the mean of an offset. `words` describes a clock fault, or a loose or dead
+    sensor.
     """
 
     channel: str
@@ -89,37 +88,28 @@ class Cleaner:
         self.n_samples, self.n_bad = 0, 0
         self.lowest, self.highest = math.inf, -math.inf
         self._counts: dict[tuple[str, bool], tuple[int, int]] = {}  # kind, repaired: count, first
-        self._levels: list[FloatArray] = []
         self._sum = self._sum_of_squares = 0.0
         self._longest_constant = int(CONSTANT_S * rate_hz + 1e-9)
         context = math.ceil(max(self._longest_constant, 1) / self.segment) * self.segment
         core = math.ceil(max(CORE_SAMPLES, context) / self.segment) * self.segment
         self._windows = _Windows(core, context, int(late * core))
 
-    def clean(self, blocks: Iterable[FloatArray]) -> Iterator[tuple[FloatArray, BoolArray]]:
-        """Yield values without NaN [m/s2] and a mask of bad ones, in blocks of other sizes."""
-        for block in blocks:
-            yield from self.push(block)
-        yield from self.finish()
-
     def push(self, block: FloatArray) -> Iterator[tuple[FloatArray, BoolArray]]:
-        """Yield what `clean` does for the windows that the next samples [m/s2] complete."""
+        """Yield values without NaN [m/s2] and a mask of bad ones, of windows that are complete."""
         for window in self._windows.push(block):
             yield self._cleaned(*window)
 
     def finish(self) -> Iterator[tuple[FloatArray, BoolArray]]:
-        """Yield what `clean` does for the remaining samples."""
+        """Yield the same for the remaining samples."""
         for window in self._windows.finish():
             yield self._cleaned(*window)
 
     def _cleaned(self, window: FloatArray, lead: int, length: int) -> tuple[FloatArray, BoolArray]:
         """Return values and bad samples of the core of a window: `length` samples from `lead`."""
-        values, bad, masks, centre = self._check(window)
+        values, bad, masks = self._check(window)
         inside = slice(lead, lead + length)
         for (kind, repaired), mask in masks.items():
             self._count(kind, repaired, mask[inside])
-        first = lead // self.segment
-        self._levels.append(centre[first : first + math.ceil(length / self.segment)])
         self._add(values[inside], bad[inside])
         return values[inside], bad[inside]
 
@@ -127,7 +117,6 @@ class Cleaner:
         """Return arrays and JSON-able values from which `restore` continues."""
         return {
             "pending": np.concatenate([np.empty(0), *self._windows.pending]),
-            "levels": np.concatenate([np.empty(0), *self._levels]),
             "lead": self._windows.lead,
             "sums": [self.lowest, self.highest, self._sum, self._sum_of_squares],
             "counts": [self.n_samples, self.n_bad],
@@ -138,15 +127,14 @@ class Cleaner:
         """Continue from the state of a cleaner of the same channel."""
         self._windows.pending = [state["pending"]]
         self._windows.held, self._windows.lead = len(state["pending"]), state["lead"]
-        self._levels = [state["levels"]]
         self.lowest, self.highest, self._sum, self._sum_of_squares = state["sums"]
         self.n_samples, self.n_bad = state["counts"]
         self._counts = {(kind, fixed): (n, first) for kind, fixed, n, first in state["found"]}
 
     def _check(
         self, window: FloatArray
-    ) -> tuple[FloatArray, BoolArray, dict[tuple[str, bool], BoolArray], FloatArray]:
-        """Return filled values, bad samples, masks by (kind, repaired), levels of the segments."""
+    ) -> tuple[FloatArray, BoolArray, dict[tuple[str, bool], BoolArray]]:
+        """Return filled values, bad samples, and masks by (kind, repaired)."""
         gap = detect.find_gaps(window)
         filled = detect.fill(window, gap)
         centre, spread = detect.local_level(filled, self.segment)
@@ -171,7 +159,7 @@ class Cleaner:
             ("saturation", False): saturation,
             ("constant", False): constant,
         }
-        return detect.fill(filled, bad | spike), bad, masks, centre
+        return detect.fill(filled, bad | spike), bad, masks
 
     def _count(self, kind: str, repaired: bool, mask: BoolArray) -> None:
         if count := int(np.count_nonzero(mask)):
@@ -204,17 +192,10 @@ class Cleaner:
         ]
         if n_good := self.n_samples - self.n_bad:
             rms = math.sqrt(max(self._sum_of_squares / n_good - self.mean * self.mean, 0.0))
-            whole = self.n_samples, self.n_samples / self.rate_hz, start_s, True
-            for kind, size in (("offset", self.mean), ("drift", self._drift())):
-                if abs(size) > DRIFT_FRACTION * rms:
-                    faults.append(Fault(self.channel, kind, *whole, size))
+            if abs(self.mean) > OFFSET_FRACTION * rms:
+                whole = self.n_samples, self.n_samples / self.rate_hz, start_s, True
+                faults.append(Fault(self.channel, "offset", *whole, self.mean))
         return tuple(sorted(faults, key=lambda f: (KINDS.index(f.kind), not f.repaired)))
-
-    def _drift(self) -> float:
-        """Return the median level of the last tenth minus that of the first, [m/s2]."""
-        levels = np.concatenate(self._levels)
-        tenth = math.ceil(len(levels) / 10)
-        return float(np.median(levels[-tenth:]) - np.median(levels[:tenth]))
 
 
 class _Windows:

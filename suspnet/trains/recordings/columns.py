@@ -36,23 +36,13 @@ MOST_BLOCK_BYTES = 8 * 8 * BLOCK
 class Column:
     """One column of a file, as the file describes it; None where it states nothing.
 
-    Attributes
-    ----------
-    unit : str or None
-        As written in the file.
-    time : str or None
-        Name of the column with the times of this one.
-    start_ns : int or None, [ns]
-        Time of the first sample or, with `time`, origin of its times, since 1970 in UTC, or in the
-        logger's unknown time zone if `is_local`.
-    is_time, is_zoned : bool
-        It holds time stamps rather than numbers; they are in UTC rather than an unknown zone.
-    is_by_name : bool
-        It is read only by its name, as a column of a matrix, or a stated rate.
-    date : str or None
-        Start of the recording as written in a header, too coarse to align clocks.
-    unread : str
-        Why it holds neither numbers nor times that can be read; empty if it does.
+    `unit` is as written in the file, `time` the name of the column with the times of this one.
+    `start_ns` is the time of the first sample or, with `time`, the origin of its times, since 1970
+    in UTC, or in the logger's unknown time zone if `is_local`. `is_time`: it holds time stamps
+    rather than numbers; `is_zoned`: they are in UTC rather than an unknown zone. `is_by_name`: it
+    is read only by its name, as a column of a matrix, or a stated rate. `date` is the start of the
+    recording as written in a header, too coarse to align clocks. `unread` is why it holds neither
+    numbers nor times that can be read; empty if it does.
     """
 
     name: str

@@ -74,8 +74,6 @@ class Stated:
 def stated_in(lines: Iterable[str]) -> dict[str, Stated]:
     """Return what lines state, by the keys of a manifest; the first line of a key counts.
 
-    Examples
-    --------
     >>> stated = stated_in(["Kilometerstand;123.456,7 km", "Fahrzeug: am96", "Drehgestell;vorn"])
     >>> {key: note.value for key, note in stated.items()}
     {'mileage_km': 123456.7, 'vehicle': 'am96', 'bogie': 'leading'}

@@ -1,11 +1,11 @@
 """Readers in separate processes: a file that crashes or hangs its reader only causes an error.
 
-Libraries for binary formats crash on some damaged files, or
-never return, and some execute what a file contains: run a formula, read other
-files. Each file is therefore read in a separate process that can do nothing else (`reader_server`).
-It opens the file or reads the next block on request; each of these steps has a time limit. The
-processes are forked from a server that has imported the libraries. Requests and answers are lines
-of JSON; the bytes of arrays follow an answer. Nothing is unpickled.
+Libraries for binary formats crash on some damaged files, or never return, and some execute what a
+file contains: run a formula, read other files. Each file is therefore read in a separate process
+that can do nothing else (`reader_server`). It opens the file or reads the next block on request;
+each of these steps has a time limit. The processes are forked from a server that has imported the
+libraries. Requests and answers are lines of JSON; the bytes of arrays follow an answer. Nothing is
+unpickled.
 """
 
 from __future__ import annotations

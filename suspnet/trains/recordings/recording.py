@@ -166,21 +166,12 @@ def load_recording(manifest: TripManifest, rate_hz: float = 100.0) -> Recording:
     of more than ``LEAST_SENSORS``, is left out, with a fault. The result covers the time common to
     all sensors, less about ``8 / rate_hz`` at both ends, where the low-pass filter is incomplete.
 
-    Parameters
-    ----------
-    manifest : TripManifest
-    rate_hz : float, [Hz]
-        Rate of the result; signals are flat within 1e-4 up to a quarter of it.
+    Signals are flat within 1e-4 up to a quarter of `rate_hz`.
 
-    Raises
-    ------
-    TripError
-        If a file cannot be read, a rate is lower than `rate_hz`, too many sensors are constant or
-        have no usable sample, less than ``SHORTEST_S`` is common to all sensors, times
-        are wrong, or the speed is unknown throughout. Its `problems` are those of all sensors and
-        the speed.
-    ValueError
-        If `rate_hz` is not positive and finite.
+    Raises TripError if a file cannot be read, a rate is lower than `rate_hz`, too many sensors are
+    constant or have no usable sample, less than ``SHORTEST_S`` is common to all sensors, times are
+    wrong, or the speed is unknown throughout; its `problems` are those of all sensors and the
+    speed. ValueError if `rate_hz` is not positive and finite.
     """
     check_number("rate_hz", rate_hz, above=0)
     sensors = manifest.sensors()

@@ -25,7 +25,7 @@ from suspnet.trains.recordings.errors import all_of
 from suspnet.trains.recordings.formats import READERS
 from suspnet.trains.recordings.logger_notes import NUMBERS, Stated, key_of, stated_in
 from suspnet.trains.recordings.manifest import CHANNELS, FORMAT
-from suspnet.trains.recordings.manifest_sources import ACCELERATION_UNITS, MIDDLE, SPEED_UNITS
+from suspnet.trains.recordings.manifest_sources import MIDDLE, UNITS
 from suspnet.trains.trips.file_contents import (
     ACCELERATION,
     MILEAGE,
@@ -144,7 +144,9 @@ def folder_manifests(
         of_trip: dict[str, Stated] = {}
         for name in sorted(names[one.path] & set(table)):
             of_trip |= table[name]
-        signals = _signals(several)
+        signals = [signal for content in several for signal in content.signals]
+        if len({file.parent for file in one.files}) > 1:  # folders may be named by places
+            signals = [replace(s, names=(*s.names, s.file.parent.name)) for s in signals]
         known = _stated(one, several, signals, folder)
         trips.append(_trip(one, several, signals, known | of_all | of_trip, said, config_dir))
     _check_columns(said, trips)
@@ -167,14 +169,6 @@ def _check_columns(said: Mapping[str, str], trips: Sequence[Trip]) -> None:
                 f"likewise of those at the bogie's other axle, with {OTHER} at their end; "
                 f"FILE:COLUMN is that of one file; got {value!r}"
             )
-
-
-def _signals(contents: Sequence[Contents]) -> list[Signal]:
-    """Return the columns of a trip; files of several folders are named by these as well."""
-    signals = [signal for content in contents for signal in content.signals]
-    if len({content.file.parent for content in contents}) == 1:
-        return signals
-    return [replace(s, names=(*s.names, s.file.parent.name)) for s in signals]
 
 
 def _stated(
@@ -275,16 +269,12 @@ class _Writer:
     def channel(self, name: str, candidates: Sequence[Signal]) -> list[str]:
         """Return the lines of a channel: one sensor, or a left and a right one, at each axle."""
         vertical = [s for s in candidates if not is_of_another_direction(s.name)] or candidates
-        axles = [signal.axle or 1 for signal in vertical]
-        sides = [[s.side for s, a in zip(vertical, axles, strict=True) if a == at] for at in (1, 2)]
+        sides = [[s.side for s in vertical if (s.axle == 2) == is_other] for is_other in (0, 1)]
         if not vertical or any(len(own) > 1 and sorted(own) != sorted(SIDES) for own in sides):
             self.missing.append(f"channels.{name}")
             return []
-        pairs = zip(vertical, axles, strict=True)
-        lines = [f"  {name}:  # {self._how(name, f'channels.{name}')}"]
-        return lines + [
-            f"    - {self._entry(signal, ACCELERATION, axle)}" for signal, axle in pairs
-        ]
+        entries = [f"    - {self._entry(signal, ACCELERATION)}" for signal in vertical]
+        return [f"  {name}:  # {self._how(name, f'channels.{name}')}", *entries]
 
     def _how(self, what: str, key: str) -> str:
         if what in self.chosen:
@@ -292,36 +282,34 @@ class _Writer:
         self.guesses.append(key)
         return "guess by the name"
 
-    def _entry(self, signal: Signal, kind: str, axle: int = 1) -> str:
+    def _entry(self, signal: Signal, kind: str) -> str:
         """Return a signal in YAML, with a comment on where unit and rate are from."""
-        is_acceleration, prefix = kind == ACCELERATION, "" if kind == ACCELERATION else "speed_"
+        prefix = "speed_" if kind == SPEED else ""
+        # a unit of the file that no manifest can write is left to the reader
+        size, by_file = size_of(kind, signal.unit) or math.nan, signal.column.unit is not None
+        units = [unit for unit, other in UNITS[kind].items() if math.isclose(other, size)]
+        if math.isnan(size) or not (units or by_file):
+            self.missing.append(f"{prefix}unit")
         content: dict[str, object] = {
             "file": _relative(signal.file, self.folder).as_posix(),
             "column": signal.name,
-            "side": (signal.side if is_acceleration else "") or None,
-            "axle": axle if axle != 1 else None,
+            "side": signal.side if kind == ACCELERATION else "",
+            "axle": 2 if signal.axle == 2 else "",
+            "unit": units[0] if units else "",
+            "time": signal.time,
+            "time_unit": signal.time_unit,
         }
-        # a unit of the file that no manifest can write is left to the reader
-        allowed = ACCELERATION_UNITS if is_acceleration else SPEED_UNITS
-        size = size_of(kind, signal.unit) or math.nan
-        content["unit"] = next(
-            (u for u, other in allowed.items() if math.isclose(other, size)), None
-        )
-        by_file = signal.column.unit is not None
-        if math.isnan(size) or (content["unit"] is None and not by_file):
-            self.missing.append(f"{prefix}unit")
-        source = BY_COMMAND_LINE if "unit" in signal.said else "by the name"
-        words = [f"unit {signal.unit} {'by the file' if by_file else source}"]
+        by_name = BY_COMMAND_LINE if "unit" in signal.said else "by the name"
+        words = f"unit {signal.unit} {'by the file' if by_file else by_name}; "
         if signal.time:
-            content |= {"time": signal.time, "time_unit": signal.time_unit or None}
-            words.append(f"{signal.rate_hz:.6g} Hz by its times")
+            words += f"{signal.rate_hz:.6g} Hz by its times"
         elif math.isfinite(signal.rate_hz):
             content["rate_hz"] = float(signal.rate_hz)
-            words.append(f"rate {BY_COMMAND_LINE if 'rate_hz' in signal.said else 'by the file'}")
+            words += f"rate {BY_COMMAND_LINE if 'rate_hz' in signal.said else 'by the file'}"
         else:
             self.missing.append(f"{prefix}rate_hz")
-        inside = ", ".join(f"{k}: {_yaml(v)}" for k, v in content.items() if v is not None)
-        return f"{{{inside}}}  # {'; '.join(words)}"
+        inside = ", ".join(f"{k}: {_yaml(v)}" for k, v in content.items() if v != "")
+        return f"{{{inside}}}  # {words}"
 
 
 def _yaml(value: object) -> str:

@@ -22,11 +22,6 @@ DEEPEST = 3
 """Number of levels of folders that are searched."""
 IGNORED = ("vehicle", "outputs")
 """Names of folders that hold no trips."""
-NO_DATA = (
-    *(".yaml", ".yml", ".json", ".xml", ".ini", ".log", ".md", ".pdf", ".html", ".doc", ".docx"),
-    *(".png", ".jpg", ".jpeg", ".svg", ".py", ".ipynb", ".m", ".sh", ".tdms_index", ""),
-)
-"""Suffixes of files that hold no recording and are left out without a word."""
 _GPS = ("gps", "gnss", "nmea")
 MOST_NAME_BYTES = 245
 """Longest name of a trip; file systems allow 255 bytes, of which its manifest needs more."""
@@ -42,8 +37,8 @@ class TripFiles:
 
 def find_trip_files(
     folder: Path, besides: Iterable[Path] = (), loggers: Iterable[str] = ()
-) -> tuple[list[TripFiles], list[str]]:
-    """Return the trips of a folder and its subfolders, and lines on files that are not read.
+) -> list[TripFiles]:
+    """Return the trips of a folder and its subfolders.
 
     Files of one folder whose names are equal without words for a place, a side or a receiver are of
     one trip: ``run_1_axle.csv``, ``run_1_bogie.csv`` and ``run_1_gps.csv``. A folder whose files
@@ -55,22 +50,20 @@ def find_trip_files(
         raise FileNotFoundError(f"there is no folder {folder}; give the one that holds the files")
     left_out = {path.resolve() for path in besides}
     paths = sorted(_files(folder, DEEPEST), key=lambda path: natural(str(path)))
-    files = [p for p in paths if p.suffix.lower() in READERS and p.is_file()]
-    unread = _unread(set(paths) - set(files))
-    files = [file for file in files if file.resolve() not in left_out]
+    files = [file for file in paths if file.resolve() not in left_out]
     by_trip: dict[Path, list[Path]] = {}
     for file in files:
         by_trip.setdefault(_trip_of(file, folder, loggers), []).append(file)
     if not by_trip:
-        others = unread or [f"they end with {', '.join(sorted(READERS))}"]
-        raise FileNotFoundError(f"{folder} holds no data file; {'; '.join(others)}")
+        formats = ", ".join(sorted(READERS))
+        raise FileNotFoundError(f"{folder} holds no data file; they end with {formats}")
     trips = list(by_trip)
     # a folder with manifests of its own hides those of its subfolders
     if any(trip.parent == folder for trip in trips):
         trips = [folder / "_".join(trip.relative_to(folder).parts) for trip in trips]
     names = distinct(str(trip.with_name(shortened(trip.name, MOST_NAME_BYTES))) for trip in trips)
     pairs = zip(names, by_trip.values(), strict=True)
-    return [TripFiles(Path(f"{name}.yaml"), tuple(own)) for name, own in pairs], unread
+    return [TripFiles(Path(f"{name}.yaml"), tuple(own)) for name, own in pairs]
 
 
 def _files(folder: Path, depth: int) -> Iterable[Path]:
@@ -79,20 +72,8 @@ def _files(folder: Path, depth: int) -> Iterable[Path]:
             continue
         if path.is_dir() and depth > 1:
             yield from _files(path, depth - 1)
-        else:
+        elif path.suffix.lower() in READERS and path.is_file():
             yield path
-
-
-def _unread(paths: Iterable[Path]) -> list[str]:
-    files = sorted(str(p) for p in paths if p.suffix.lower() not in NO_DATA and p.is_file())
-    deep = sorted(str(path) for path in paths if path.is_dir())
-    more = f" and {len(files) - 5} more" if len(files) > 5 else ""
-    formats = ", ".join(sorted(READERS))
-    listed = [f"not read: {', '.join(files[:5])}{more}; export them to one of {formats}"]
-    levels = f"below {DEEPEST} levels of folders, give each by itself"
-    return (listed if files else []) + (
-        [f"not searched: {', '.join(deep)}: {levels}"] if deep else []
-    )
 
 
 def without_word(name: str, word: str) -> str:
