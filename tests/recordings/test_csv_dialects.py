@@ -283,11 +283,11 @@ def test_several_tables_are_refused(tmp_path, names):
 
 
 def test_later_rows_of_another_dialect_are_refused(tmp_path):
-    path = written(tmp_path, "t;a\n" + "0;1\n" * 200_000 + "0,5;1,5\n")
-    message = r"text in a column of numbers.*line 200002.*'0,5'.*decimal sign is taken to be '\.'"
+    path = written(tmp_path, "t;a\n" + "0;1\n" * 80_000 + "0,5;1,5\n")
+    message = r"text in a column of numbers.*line 80002.*'0,5'.*decimal sign is taken to be '\.'"
     with pytest.raises(TripError, match=message):
         read(path, "t")
-    path.write_text("t;a\n" + "2015-08-03T08:00:00;1\n" * 200_000 + "2015-08-03T08:00:00Z;1\n")
+    path.write_text("t;a\n" + "2015-08-03T08:00:00;1\n" * 20_000 + "2015-08-03T08:00:00Z;1\n")
     with pytest.raises(TripError, match="a time stamp is not like the first"):
         read(path, "t", "a")
 

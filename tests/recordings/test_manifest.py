@@ -194,6 +194,7 @@ manifests = st.builds(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(manifests)
 def test_written_manifest_reads_the_same(tmp_path_factory, manifest):
@@ -201,6 +202,20 @@ def test_written_manifest_reads_the_same(tmp_path_factory, manifest):
     assume(len({(c.file, c.column) for c in sensors}) == len(sensors))
     folder = with_files(tmp_path_factory.mktemp("trip"))
     manifest = replace(manifest, path=folder / "trip.yaml")
+    assert read_manifest(write_manifest(manifest)) == manifest
+
+
+def test_a_manifest_of_pairs_and_dialects_reads_the_same(folder):
+    pair = tuple(SensorSource("all.mat", "g", side, rate_hz=9.5, side=side) for side in SIDES)
+    dialect = CsvDialect(delimiter="\t", header_line=0)
+    manifest = replace(
+        read_manifest(write(folder, TRIP)),
+        channels={"axle_box": pair, "bogie": SensorSource("sub/bogie.csv", csv=dialect, sign=-1)},
+        speed=SpeedSource("speed.csv", time="t", time_zone="Europe/Berlin", start_s=-0.25),
+        temperature_c=-3.5,
+        truth={},
+    )
+    manifest = replace(manifest, channels=manifest.channels | {"body": SensorSource("all.mat")})
     assert read_manifest(write_manifest(manifest)) == manifest
 
 

@@ -97,8 +97,10 @@ def appended(folder: Path, signals, **settings) -> Path:
         return file.save(folder / "new.mf4", overwrite=True)
 
 
-@pytest.mark.parametrize("n", [10, BLOCK + 10])
-@pytest.mark.parametrize(("all_invalid", "kind"), [(False, 0), (True, 0), (False, 6)])
+@pytest.mark.parametrize(
+    ("n", "all_invalid", "kind"),
+    [(BLOCK + 10, False, 0), (10, True, 0), (10, False, 6)],
+)
 def test_invalid_samples_are_missing_at_their_times(tmp_path, n, all_invalid, kind):
     values, at = np.arange(float(n)), np.arange(n) / 100
     invalid = np.isin(values, [3, 4, n - 2]) | all_invalid

@@ -56,6 +56,7 @@ def healthy(folder, by_part=True):
     return read_healthy(folder, GENERATOR, SETTINGS, TripSettings(), by_part=by_part)
 
 
+@pytest.mark.slow
 def test_its_vehicle_of_equal_sides_is_that_of_its_parts(tmp_path):
     trips(tmp_path)
     found = healthy(tmp_path)

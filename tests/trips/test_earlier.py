@@ -179,6 +179,7 @@ def history_of(models, rng, n_trips):
     return [found[i] for i in rng.permutation(n_trips)]
 
 
+@pytest.mark.slow
 @settings(max_examples=2)
 @example(0)
 @given(st.integers(1, 1000))

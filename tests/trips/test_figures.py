@@ -182,6 +182,7 @@ def failed():
     return trip(1, missing=True, status="error", quality=type(trip().quality)(), truth={})
 
 
+@pytest.mark.slow
 def test_gaps_in_every_curve_can_be_drawn():
     gaps = curves()
     for values in (gaps.overview_low, gaps.overview_high, gaps.overview_mean, gaps.coherences):

@@ -149,6 +149,7 @@ def test_bushings_and_rubber_have_the_stiffness_of_maxwell_elements(part, fricti
         assert abs(body[i] / frame[i] / g_s - 1) < tolerance
 
 
+@pytest.mark.slow
 def test_dampers_that_blow_off_move_as_an_independent_solver_says():
     track, seconds = waves([1.4, 5.2], velocity=0.2), 1.0
     numbers = pitching_numbers(AM96, DEGRADED, SPEED)

@@ -194,6 +194,7 @@ def test_trip_is_described_as_its_manifest_says(manifests, model, tmp_path):
     assert as_written.start == "2015-08-04T20:00:00+00:00"
 
 
+@pytest.mark.slow
 def test_speed_bins_are_averaged_by_the_inverse_squares_of_their_half_widths(
     two_speeds, model, monkeypatch
 ):
@@ -259,6 +260,7 @@ def test_delay_that_is_the_same_all_along_is_named(manifests, model, good, tmp_p
     assert re.search(r"body looks (4\.9\d?|5(\.[01]\d?)?) ms late relative to bogie", words)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("flags", "expected"),
     [
@@ -295,7 +297,7 @@ def test_harmless_faults_change_nothing(manifests, model, good, tmp_path):
     values[i % 5000 == 77] = np.nan
     result = evaluated(changed(manifests[0], tmp_path, signals={"body": values}), model)
     kinds = {part.split()[1] for part in result.quality.faults.split("; ")}
-    assert kinds == {"offset", "drift", "spike", "gap"}
+    assert kinds == {"offset", "spike", "gap"}
     assert result.quality.segments_used == N_SEGMENTS
     assert close(result, good, 1.002)
 
