@@ -9,31 +9,19 @@ from pathlib import Path
 from shlex import join
 
 from suspnet.cli.config_files import is_shipped, own_vehicles
-from suspnet.ground.records import Place
 from suspnet.ground.storage import printable, write_atomically
 from suspnet.ground.wording import command, count
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.trips import folder_manifests as folders
-from suspnet.trains.trips.grouping import lone_trains
 from suspnet.trains.trips.trip_files import TripFiles, find_trip_files, read_table, table_of
 
-LEFT_OPEN = {
-    "bogie": "is taken as the leading one, which decides how the other bogie and the body's pitch "
-    "add to its motion: bogie=leading or trailing, as the vehicle runs forward",
-    "axle": "is taken as the leading one of that bogie: axle=leading or trailing, at which the "
-    "sensors are",
-    "direction": "is found where the phases show it, else asked for by check and train: "
-    "direction=forward or reverse",
-    "train": "is taken as another one for each suspension, which the plan calls in by itself: "
-    "train=12 if they are of one train, and car=7 if of one car",
+ASSUMED = {
+    "bogie": "the leading one",
+    "axle": "the leading one of that bogie",
+    "direction": "that which the phases show, else asked for by check and train",
+    "train": "another one for each suspension",
 }
-"""Default of each key that no trip needs, and how to state the key."""
-FRAME_PLACE = (
-    "  the frame's sensor is taken as above the measured axle; if it is at the frame's centre, "
-    "train with generator.frame_sensor=centre; check compares both where rigid bodies explain a "
-    "trip"
-)
-"""What holds for the place that no manifest gives."""
+"""What is assumed of each key that no trip needs."""
 
 
 def init(arguments: Namespace) -> int:
@@ -95,7 +83,7 @@ def _write(paths: Sequence[Path], settings: Sequence[str], arguments: Namespace)
             print(f"-> {table}: fill in its columns, then run the same command again")
         right = [word for word in settings if not (wrong and word.startswith("vehicle="))]
         again = f"{command('init', *paths, *right)} KEY=VALUE ... {printable(join(options))}"
-        print(*_left_open(new), f"say each once for all trips: {again.rstrip()}", sep="\n")
+        print(*_assumed(new), f"say each once for all trips: {again.rstrip()}", sep="\n")
         return 1
     for trip in new:
         write_atomically(trip.path, trip.text, force=arguments.force)
@@ -105,7 +93,7 @@ def _write(paths: Sequence[Path], settings: Sequence[str], arguments: Namespace)
     for line in folders.origins(new):
         print(printable(f"  {line}"))
     checked = folder if paths == [folder] else trip_files[0].path
-    print(*_left_open(new), FRAME_PLACE, sep="\n")
+    print(*_assumed(new), sep="\n")
     print(f"then run: {command('check', checked, *of_vehicles)}")
     return 0
 
@@ -130,17 +118,8 @@ def _unknown_vehicles(folder: Path | None, trips: Sequence[folders.Trip]) -> lis
     ]
 
 
-def _vehicle_and_place(trip: folders.Trip) -> tuple[str, Place]:
-    values = {key: str(stated.value) for key, stated in trip.known.items()}
-    keys = ("suspension", "train", "car")
-    return values.get("vehicle", ""), Place(**{key: values.get(key, "") for key in keys})
-
-
-def _left_open(trips: Sequence[folders.Trip]) -> list[str]:
-    lines = []
-    for key, words in LEFT_OPEN.items():
-        if key == "train" and not lone_trains(map(_vehicle_and_place, trips)):
-            continue
-        if n := sum(key not in trip.known for trip in trips):
-            lines.append(f"  {key}, not stated in {n}, {words}, or in a table")
-    return lines
+def _assumed(trips: Sequence[folders.Trip]) -> list[str]:
+    """Return a line on the keys of ``ASSUMED`` that are not stated, with the number of trips."""
+    missing = {key: sum(key not in trip.known for trip in trips) for key in ASSUMED}
+    listed = "; ".join(f"{key} ({n}): {ASSUMED[key]}" for key, n in missing.items() if n)
+    return [f"  assumed unless KEY=VALUE or a table states it: {listed}"] if listed else []

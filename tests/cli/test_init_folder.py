@@ -43,7 +43,7 @@ def asked(folder, *said):
     assert sorted(folder.rglob("*.yaml")) == before
     lines = done.stdout.splitlines()[1:-1]
     keys = {line.partition(":")[0].split()[0] for line in lines if line[2:3] != " "}
-    return keys - {"direction,", "bogie,", "axle,", "train,"}  # these need not be said
+    return keys - {"assumed"}
 
 
 def write_german(path, n=400, columns=None, above=()):
@@ -319,32 +319,20 @@ def test_own_vehicle_is_found_in_a_folder_here_or_asked_for(tmp_path):
     assert "run: suspnet check 'car 7/run_1.yaml' --config-dir mine\n" in manifest
 
 
-def test_the_train_of_several_suspensions_is_asked_for(tmp_path):
-    line = "train, not stated in 2, is taken as another one for each suspension"
-    said = [one for one in SAID if not one.startswith("suspension")]
-    for place, km in (("front", 100), ("rear", 200)):
-        path = tmp_path / place / "run.csv"
-        path.parent.mkdir()
-        write_german(path, above=[f"Kilometerstand;{km} km", ""])
-    assert line in written(tmp_path, *said)
-    assert line not in written(tmp_path, *said, "train=12", "--force")
-    assert read_manifest(tmp_path / "rear" / "run.yaml").train == "12"
-    assert line not in written(tmp_path, *SAID, "--force")  # bogies of one suspension are one train
-
-
-@pytest.mark.parametrize("key", ["bogie", "axle"])
-def test_the_end_of_the_sensors_is_asked_for_with_its_default(tmp_path, key):
+def test_what_is_assumed_is_listed_with_the_number_of_trips(tmp_path):
     write_plain(tmp_path / "car 7" / "run_1.parquet")
-    line = f"{key}, not stated in 1, is taken as the leading one"
     said = [*(one for one in SAID if not one.startswith("suspension")), "mileage_km=1"]
+    line = "states it: bogie (1): the leading one; axle (1): the leading one of that bogie; direc"
     assert line in typed(init, tmp_path, cwd=tmp_path).stdout
     assert line in (words := written(tmp_path, *said))
     assert "suspension: by the folder (1)" in words
     manifest = tmp_path / "car 7" / "run_1.yaml"
-    assert getattr(read_manifest(manifest), key) is None
-    assert line not in written(tmp_path, *said, f"{key}=trailing", "--force")
-    assert getattr(read_manifest(manifest), key) == "trailing"
-    assert read_manifest(manifest).suspension == "car 7"
+    assert read_manifest(manifest).axle is None
+    stated = ("bogie=trailing", "axle=trailing", "direction=reverse", "train=12")
+    assert "assumed" not in written(tmp_path, *said, *stated, "--force")
+    found = read_manifest(manifest)
+    assert (found.bogie, found.axle, found.train) == ("trailing", "trailing", "12")
+    assert found.suspension == "car 7"
 
 
 def test_sensors_at_both_axles_are_written_with_their_axle(tmp_path):

@@ -199,19 +199,6 @@ def test_reason_has_the_kinds_and_numbers_of_the_trips(found, severity, kinds, n
     assert {name: values[name] for name in numbers} == pytest.approx(numbers, abs=0.05)
 
 
-def test_reasons_read_well():
-    found = read(ends_with(1.5, 1.5))
-    assert found.words == (
-        "the last trip is at 150 % of healthy; the last 2 trips are above the act limit of 125 %; "
-        "the change began at about 280 000 km"
-    )
-    values = np.where((KM > 105_000) & (KM < 255_000), 1.4, 1.0)
-    values[-1] = 1.5  # it does not end as it began
-    found = read(values)
-    assert (found.severity, found.trend.shape) == (Severity.ACT, Shape.RETURNED)
-    assert "earlier, it differed by 40 % before and after about 100 000 km" in found.words
-
-
 def test_parameter_without_limits_raises_no_alarm():
     found = assess(made_up(Shape.STEP, 1.0, 0.6), ending("all_act"), None)
     assert (found.severity, found.limited) == (Severity.NONE, False)
@@ -284,6 +271,7 @@ ENGLISH = re.compile(
 )
 
 
+@pytest.mark.slow
 def test_no_reason_keeps_an_english_word_in_german():
     """Of every reason, with alarms and doubts, and of the sentence on all parameters."""
     alarms = [

@@ -6,7 +6,6 @@ import os
 import shutil
 import sys
 from dataclasses import replace
-from html import unescape
 
 import numpy as np
 import pyarrow as pa
@@ -319,29 +318,6 @@ def test_tensorboard_has_a_scalar_at_each_mileage(done, alone):
     assert [event.value for event in scalars] == pytest.approx(expected, rel=1e-6)
 
 
-def test_report_names_each_trip_and_reason(done):
-    folder, results = done
-    text = (folder / "report.html").read_text()
-    assert "<b>" not in text.replace("<body>", "")
-    plain = " ".join(unescape(text).split())
-    for result in results:
-        assert result.trip in plain
-        assert result.reason in plain
-    assert plain.count("data:image/") >= len(FIGURES)
-
-
-def test_summary_names_trips_errors_and_reasons(done):
-    _, results = done
-    table, *reasons = summary(results, OUTPUTS).split("\n\n")
-    first, _, _, *lines = table.splitlines()
-    assert first.startswith("4 of 7 trips have an estimate, ")
-    assert [line.split("|")[1].strip() for line in lines[:-2]] == [r.trip for r in results]
-    assert lines[-2].startswith("| rms error %")
-    assert lines[-1].startswith("| intervals hold %")
-    assert f"{results[2].trip}: {results[2].reason}" in reasons
-    assert "rms error" not in summary(results[5:], OUTPUTS)
-
-
 def test_nothing_works_at_all(broken, model, blank, tmp_path):
     folder = tmp_path / "bad"
     folder.mkdir()
@@ -477,18 +453,6 @@ def test_models_that_cannot_read_trips_are_refused(model):
     ):
         with pytest.raises(ModelFileError, match=message):
             check_models([model, replace(model, **changes)])
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"reference": "x"}, "`reference` must be one of .*'vehicle', 'first_trips'.*, got 'x'"),
-        ({"workers": True}, "`workers` must be a whole number >= 1 or null, got True"),
-    ],
-)
-def test_settings_are_checked(change, message):
-    with pytest.raises((TypeError, ValueError), match=message):
-        FleetSettings(TRIPS, **change)
 
 
 def test_cluster_needs_dask(monkeypatch):

@@ -120,11 +120,9 @@ class Assembler:
 
     @property
     def _tolerance(self) -> float:
-        """Largest offset of a frame from its expected time, [samples]."""
         return max(0.5, self.settings.jitter_s * self.rate_hz)
 
     def _ahead(self, frame: Frame) -> float:
-        """Return the time from the end of the last frame to the start of this one, [samples]."""
         return (frame.time_ns - self._end_ns) * self.rate_hz / SECOND_NS
 
     def _distance(self, frame: Frame) -> float:

@@ -104,7 +104,6 @@ def compared_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
 
 
 def _words(manifest: TripManifest, first: str, second: str, drift: Drift) -> tuple[str, float]:
-    """Return the message on the second sensor's clock, and the change of its delay [s]."""
     if abs(drift.size) < SIGNIFICANT * drift.deviation:
         return "", 0.0
     if drift.is_jump:

@@ -118,7 +118,6 @@ class Times:
         return np.asarray((raw.astype(np.float64) - self._first) * self._size)
 
     def _continued(self, raw: NDArray[Any], missing: BoolArray, is_stamp: bool) -> NDArray[Any]:
-        """Return times without the jumps of a counter, a day or a change of clocks."""
         present = raw[~missing] if missing.any() else raw
         if not len(present):
             return raw
@@ -159,7 +158,6 @@ class Times:
         return [] if self.column.is_zoned else [("an hour", hour), ("an hour", -hour)]
 
     def _begin_stamps(self, times: NDArray[np.generic]) -> None:
-        """Set the zero of time stamps to the whole second of the first one."""
         seconds = times[~np.isnat(times)].astype("datetime64[s]")
         if not len(seconds):
             raise TripError.at(self.where, "times-empty")

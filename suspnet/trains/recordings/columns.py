@@ -39,10 +39,9 @@ class Column:
     `unit` is as written in the file, `time` the name of the column with the times of this one.
     `start_ns` is the time of the first sample or, with `time`, the origin of its times, since 1970
     in UTC, or in the logger's unknown time zone if `is_local`. `is_time`: it holds time stamps
-    rather than numbers; `is_zoned`: they are in UTC rather than an unknown zone. `is_by_name`: it
-    is read only by its name, as a column of a matrix, or a stated rate. `date` is the start of the
-    recording as written in a header, too coarse to align clocks. `unread` is why it holds neither
-    numbers nor times that can be read; empty if it does.
+    rather than numbers; `is_zoned`: they are in UTC rather than an unknown zone. `date` is the
+    start of the recording as written in a header, too coarse to align clocks. `unread` is why it
+    holds neither numbers nor times that can be read; empty if it does.
     """
 
     name: str
@@ -52,7 +51,6 @@ class Column:
     start_ns: int | None = None
     is_time: bool = False
     is_zoned: bool = False
-    is_by_name: bool = False
     date: str | None = None
     unread: str = ""
     is_local: bool = False
@@ -97,11 +95,7 @@ def choose(path: Path, file: OpenFile, columns: Sequence[str | None]) -> list[st
             raise TripError(Finding("column-unread", path=path, name=repr(name), unread=reason))
     # the column of times of another one is never the only one left
     times = {column.time for column in file.columns} | set(named)
-    others = [
-        c.name
-        for c in file.columns
-        if not (c.is_by_name or c.is_time or c.unread or c.name in times)
-    ]
+    others = [c.name for c in file.columns if not (c.is_time or c.unread or c.name in times)]
     if len(named) < len(columns) and len(others) != 1:
         raise TripError.at(path, "say-which-column", names=listing(others))
     names = [others[0] if name is None else name for name in columns]

@@ -225,7 +225,6 @@ def _encoding(sample: bytes) -> str:
 
 
 def _ways(tail: Sequence[str], stated: CsvDialect) -> list[Dialect]:
-    """Return the combinations of delimiter and decimal sign with the fewest misfits."""
     delimiters = (*DELIMITERS.values(), "") if stated.delimiter is None else (stated.delimiter,)
     decimals = (".", ",") if stated.decimal is None else (stated.decimal,)
     quoted = any('"' in line for line in tail)
@@ -333,7 +332,6 @@ def _are_units(cells: Sequence[str]) -> bool:
 
 
 def _distinct(names: Sequence[str]) -> tuple[str, ...]:
-    """Return names with a number behind those that are equal, which all get one."""
     total, so_far = Counter(names), Counter[str]()
     distinct = []
     for name in names:

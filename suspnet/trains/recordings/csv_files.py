@@ -185,7 +185,6 @@ class _Rows:
             yield rest
 
     def _read(self, piece: bytes) -> Block:
-        """Return the columns of a piece; one that Arrow refuses is halved until it is short."""
         block: Block = ()
         for sign in ("", *SIGNS):  # signs are replaced only where needed
             if not block and sign.encode() in piece:
@@ -270,14 +269,12 @@ class _Rows:
         return _Line(kind, number, text, [""] * len(self._places))
 
     def _is_header(self, cells: Sequence[str]) -> bool:
-        """Return whether cells are names: those of the columns, or others with one of these."""
         first = re.split(r"[\W_]", cells[0])[0]
         shared = set(cells) & set(self.dialect.names) or TIME_NAME.fullmatch(first)
         is_text = not any(cell[:1].isdigit() for cell in cells)
         return tuple(cells) == self.dialect.names or (is_text and bool(shared))
 
     def _refuse_other_dialect(self, number: int, cell: str, kind: Kind) -> None:
-        """Raise TripError if a cell is a number or a time that is written in another way."""
         if isinstance(kind, Notation):
             if notation_of(cell) is not None:
                 raise TripError.at(self.path, "time-stamp-differs", number=number, cell=repr(cell))

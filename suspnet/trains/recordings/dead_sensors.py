@@ -270,7 +270,6 @@ def _band(size: int, rate_hz: float) -> slice:
 
 
 def _averaged(spectra: FloatArray | ComplexArray) -> Any:
-    """Return moving averages over frames, axis -2, with zeros beyond the ends."""
     # not a running sum: its rounding error would persist after a loud signal
     return correlate1d(spectra, np.full(N_AVERAGED, 1 / N_AVERAGED), axis=-2, mode="constant")
 

@@ -89,7 +89,6 @@ def _columns(file: Any, g: int, names: Sequence[str]) -> Iterator[Column]:
 
 
 def _start(file: Any) -> dict[str, Any]:
-    """Return the start of a file, and whether it is local, as arguments of `Column`, if stated."""
     if (start_ns := nanoseconds(file.start_time)) <= 0:
         return {}
     return {"start_ns": start_ns, "is_local": file.start_time.tzinfo is None}
@@ -101,7 +100,6 @@ def _unit(channel: Any) -> str | None:
 
 
 def _refused(channel: Any) -> str:
-    """Return why the conversion of a channel is not applied; empty if it is."""
     if channel.conversion is None:  # asammdf also leaves out one that it cannot read
         return Finding("damaged-conversion") if channel.conversion_addr else ""
     number = int(channel.conversion.conversion_type)
@@ -138,7 +136,6 @@ def _disarm() -> None:
 
 
 def _take(path: Path, file: Any, name: str, group: int, index: int) -> Take:
-    """Return the function that takes physical values of a channel; NaN where they are invalid."""
     channel = file.groups[group].channels[index]
 
     def take(rows: slice) -> FloatArray:

@@ -149,7 +149,6 @@ def _plain(name: str) -> str:
 
 
 def _number(text: str, is_german: bool) -> float | None:
-    """Return the first number of a text, without signs that separate thousands."""
     match = _NUMBER.search(text)
     if match is None:
         return None

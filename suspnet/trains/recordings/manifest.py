@@ -68,7 +68,6 @@ def _sensor(value: Value) -> SensorSource:
 
 
 def _sensors(value: Value) -> SensorSource | Several:
-    """Return one sensor, or several: at each axle one, or a pair."""
     if not isinstance(value.content, list):
         return _sensor(value)
     n = len(value.content)
@@ -88,19 +87,18 @@ def _sensors(value: Value) -> SensorSource | Several:
 
 def _pair(value: Value, places: Sequence[int], both: Sequence[SensorSource]) -> Pair:
     """Return two sensors, left first, whose missing sides are inferred: the first is left."""
+    left, right = SIDES
     for place, sensor in zip(places, both, strict=True):
         if sensor.side == MIDDLE:
             check.one_of(SIDES)(value.at(place).at("side"))
-    first, second = both
-    left, right = SIDES
-    if first.side is None:
-        first = replace(first, side=left if second.side in (None, right) else right)
-    if second.side is None:
-        second = replace(second, side=left if first.side == right else right)
-    if first.side == second.side:
-        kind = "two-on-left" if first.side == left else "two-on-right"
+    first, second = (sensor.side for sensor in both)
+    first = first or (left if second != left else right)
+    second = second or (left if first == right else right)
+    if first == second:
+        kind = "two-on-left" if first == left else "two-on-right"
         raise TripError.at(value.path, kind, name=value.name)
-    return (first, second) if first.side == left else (second, first)
+    pair = replace(both[0], side=first), replace(both[1], side=second)
+    return pair if first == left else (pair[1], pair[0])
 
 
 def _channels(value: Value) -> dict[str, SensorSource | Several]:

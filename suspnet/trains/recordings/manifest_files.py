@@ -144,7 +144,6 @@ def _parsed(path: Path, content: Any) -> TripManifest:
 
 
 def _with_file(source: Any) -> Any:
-    """Return a source, or a pair of them, with a placeholder for a missing `file`."""
     if isinstance(source, list):
         return [_with_file(sensor) for sensor in source]
     return {"file": "frames"} | source if isinstance(source, dict) else source
@@ -171,7 +170,6 @@ def write_manifest(manifest: TripManifest) -> Path:
 
 
 def _written(value: Any) -> Any:
-    """Return a value as lists, mappings, text and numbers, without entries that are None."""
     if is_dataclass(value) and not isinstance(value, type):
         value = asdict(value)
     if isinstance(value, dict):

@@ -89,7 +89,6 @@ def _is_table(shape: tuple[int, ...]) -> bool:
 
 
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the content of structs and cells of MATLAB, by its path."""
     if isinstance(value, mat_struct):
         for field in value._fieldnames:
             yield from _leaves(f"{name}.{field}", getattr(value, field))
@@ -130,15 +129,15 @@ def _opened(
     takes: dict[str, tuple[int, Take]] = {}
     for name, array in arrays.items():
         shape = array.shape
-        if min(shape) == 0:
-            continue
         is_rate = max(shape) == 1 and _plain(name.rpartition(".")[2]) in RATE_NAMES
+        if is_rate or min(shape) == 0:
+            continue
         axis = int(np.argmax(shape))  # time is the longest axis
         places = {name: 0}
         if not is_vector(shape):
             places = {f"{name}[{i}]": i for i in range(min(shape))}
         for place, i in places.items():
-            columns.append(Column(place, is_by_name=is_rate or place != name, **notes[name]))
+            columns.append(Column(place, **notes[name]))
             takes[place] = (max(shape), _take(array, axis, i))
 
     def read(names: Sequence[str]) -> Iterator[Block]:

@@ -214,7 +214,6 @@ class _Process:
         return answer, arrays
 
     def _exchange(self, request: dict[str, Any]) -> tuple[dict[str, Any], Block]:
-        """Send a request and return the answer; OSError or ValueError if none comes."""
         self._requests.write(json.dumps(request).encode() + b"\n")
         self._requests.flush()
         answer = json.loads(self._answers.readline())
@@ -235,7 +234,6 @@ class _Process:
             os.kill(self._pid, signal.SIGKILL)
 
     def _ending(self) -> str:
-        """Return a message on why the process ended; a file that took too long is remembered."""
         code = self.end(CRASH_S)
         if self._is_late or code == -signal.SIGALRM:
             late = at(self.path, "reader-late", limit_s=self._limit_s, variable=LIMIT)
@@ -260,7 +258,6 @@ class _Process:
 
 
 def _state(path: Path) -> tuple[str, int, int]:
-    """Return what identifies the content of a file: path, size and time of change."""
     stat = path.stat()
     return str(path), stat.st_size, stat.st_mtime_ns
 

@@ -82,7 +82,6 @@ def _fork(request: dict[str, Any], handles: Sequence[int], control: socket.socke
 
 
 def _end(pid: int, grace_s: float) -> int:
-    """Wait up to `grace_s` for a process to exit, kill it otherwise; return its exit code."""
     last = time.monotonic() + grace_s
     with suppress(ChildProcessError):  # it belongs to another server, from before a fork
         while not (ended := os.waitpid(pid, os.WNOHANG))[0]:
@@ -148,7 +147,6 @@ def _description(file: OpenFile) -> dict[str, Any]:
 
 
 def _pieces(blocks: Iterator[Block]) -> Iterator[Block]:
-    """Yield blocks cut into pieces of at most ``MOST_BLOCK_BYTES``."""
     for block in blocks:
         most = max(MOST_BLOCK_BYTES // 8 // max(len(block), 1), 1)
         for start in range(0, len(block[0]), most):

@@ -55,26 +55,14 @@ HIGHEST_HZ = 1e6
 class Recording(ShortRepr):
     """One trip on one clock.
 
-    Attributes
-    ----------
-    values : mapping of str to array of shape (n,), [m/s2]
-        Signal of each living sensor, by the names of ``TripManifest.sensors``, with the signs of
-        the manifest, zero phase and gain 1 up to ``rate_hz / 4``.
-    usable : array of shape (n,)
-        False where an unrepaired fault affects a signal, or the speed is unknown.
-    speed_m_per_s : array of shape (n,), [m/s]
-        NaN where unknown.
-    faults : tuple of Fault
-        By channel and kind.
-    duration_s, start_s : float, [s]
-        ``n / rate_hz``, and the time of the first sample on the trip's clock, a multiple of
-        ``1 / rate_hz``.
-    words : str
-        How files were read, where this was detected, as in CSV files.
-    started : datetime or None
-        Start of the trip by the times and headers of its files; None if they do not state it.
-    faulty : mapping of str to array of shape (n,)
-        Where each sensor is not usable, by name; of those that have such times.
+    `values` are the signals (n,) of the living sensors, by the names of ``TripManifest.sensors``,
+    [m/s2], with the signs of the manifest, zero phase and gain 1 up to ``rate_hz / 4``. `usable`
+    (n,) is False where an unrepaired fault affects a signal, or the speed is unknown;
+    `speed_m_per_s` (n,) is NaN where unknown; `faulty` says where each sensor is not usable, by
+    name, of those that have such times. `faults` are by channel and kind. `duration_s` is
+    ``n / rate_hz``, `start_s` the time of the first sample on the trip's clock, a multiple of
+    ``1 / rate_hz``. `words` state how files were read, where this was detected, `started` the start
+    of the trip by the times and headers of its files; None if they do not state it.
     """
 
     manifest: TripManifest

@@ -178,7 +178,6 @@ def _agreed_rate(where: str, stated_hz: float | None, column: Column) -> float |
 
 
 def _size(where: str, source: FileSource, column: Column) -> tuple[float, str]:
-    """Return the factor to SI units, and a remark if the file's unit is unknown."""
     size = agreed_size(where, source.kind, source.unit, column.unit)
     words = ""
     if column.unit and size_of(source.kind, column.unit) is None:
@@ -295,7 +294,6 @@ class Timeline:
         return filled
 
     def _start_grid(self, times: FloatArray) -> None:
-        """Interpolate from the next block on, on the line of the blocks before if there are any."""
         steps = np.diff(times, prepend=self._last[0])
         first_s, step_s = float(times[0]), None
         if self._n_given:

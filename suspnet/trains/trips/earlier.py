@@ -117,7 +117,6 @@ def with_earlier(
 
 
 def _is_of(result: TripResult, model: TrainedModel) -> bool:
-    """Return whether a trip has the same healthy reference as a model."""
     if not np.isclose(result.healthy_since_km, since_km(model), rtol=0, atol=0, equal_nan=True):
         return False
     return any(

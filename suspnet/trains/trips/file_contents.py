@@ -198,15 +198,13 @@ def _times(file: Path, opened: OpenFile, name: str) -> FloatArray:
 def _signal(
     file: Path, opened: OpenFile, column: Column, times: dict[str, FloatArray]
 ) -> Signal | None:
-    """Return what is known about a column; None if it holds no numbers, or one that is no key."""
     values = _first(file, opened, column.name)
     if values.dtype.kind != "f" or len(values) < 1 + (key_of(column.name) != MILEAGE):
         return None
     # the rate is the file's, else that of the column's own or the first shared times
     time, time_unit, rate_hz = "", "", column.rate_hz
     if rate_hz is None:
-        shared = (name for name in times if not opened.column(name).is_by_name)
-        time = column.time or next(shared, "")
+        time = column.time or next(iter(times), "")
         rate_hz, time_unit = _rate(opened, time, times[time]) if time in times else (np.nan, "")
     finite = values[np.isfinite(values)]
     return Signal(

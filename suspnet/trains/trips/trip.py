@@ -255,7 +255,6 @@ def _of_bins(bins: Sequence[SeenBin], recording: Recording) -> dict[str, Any]:
 
 
 def _used(bins: Sequence[SeenBin]) -> dict[Welch, int]:
-    """Return the number of segments that any of the bins uses, by how segments are cut."""
     chosen: dict[Welch, Tensor] = {}
     for one in bins:
         welch = one.segments.welch

@@ -82,7 +82,6 @@ def without_word(name: str, word: str) -> str:
 
 
 def _trip_of(file: Path, folder: Path, loggers: Iterable[str]) -> Path:
-    """Return the path of a file's trip, without a suffix: by its name, or by that of its folder."""
     home = file.parent
     rest = _without_places(reduce(without_word, loggers, file.stem))
     if not rest:
@@ -169,5 +168,4 @@ def names_of(files: Sequence[Path]) -> set[str]:
 
 
 def _cell_of(name: str) -> str:
-    """Return the name of a file as a cell that a spreadsheet does not take for a formula."""
     return f"./{name}" if name.startswith(("=", "+", "-", "@")) else name
