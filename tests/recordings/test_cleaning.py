@@ -7,8 +7,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from suspnet.trains.recordings import cleaning
-from suspnet.trains.recordings.cleaning import KINDS, Cleaner, Fault
-from suspnet.trains.recordings.faults import (
+from suspnet.trains.recordings.cleaning import (
+    KINDS,
+    Cleaner,
+    Fault,
     fill,
     find_clipping,
     find_constant,

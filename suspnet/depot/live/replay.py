@@ -21,10 +21,10 @@ import numpy as np
 
 from suspnet.ground.settings import Setting, check_settings, check_values, setting
 from suspnet.ground.types import FloatArray
+from suspnet.trains.recordings.cleaning import find_gaps, runs
 from suspnet.trains.recordings.clocks import offsets_s
 from suspnet.trains.recordings.dates import EPOCH, SECOND_NS, ahead_ns, nanoseconds, time_zone
 from suspnet.trains.recordings.errors import TripError
-from suspnet.trains.recordings.faults import find_gaps, runs
 from suspnet.trains.recordings.frames import MOST_SAMPLES, Frame, end_ns
 from suspnet.trains.recordings.manifest import TripManifest
 from suspnet.trains.recordings.manifest_files import ManifestFile

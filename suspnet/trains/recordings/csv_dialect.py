@@ -182,7 +182,7 @@ def find_dialect(path: Path, stated: CsvDialect | None = None) -> Dialect:
     best = max(tables, key=lambda t: (t.header_line > 0, len(t.read), t.decimal == "."))
     # Refuse a file that can be read in two ways rather than guess.
     rivals = [t for t in tables if t.header_line == 0 and len(t.names) != len(best.names)]
-    if rivals and not best.header_line and stated.header_line is stated.delimiter is None:
+    if rivals and not best.header_line and (stated.header_line, stated.delimiter) == (None, None):
         raise _unreadable(path, Finding("no-names-ambiguous", one=str(best), other=str(rivals[0])))
     if stated.decimal is None and (sign := _may_group(lines[best.first_line - 1 :], best)):
         raise _unreadable(path, f"a {sign} may be its decimal sign or separate thousands")

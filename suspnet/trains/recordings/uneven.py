@@ -14,8 +14,8 @@ import numpy as np
 
 from suspnet.ground.findings import Finding
 from suspnet.ground.types import FloatArray, IntArray
+from suspnet.trains.recordings.cleaning import find_gaps
 from suspnet.trains.recordings.errors import TripError
-from suspnet.trains.recordings.faults import find_gaps
 
 POINTS = 8
 """Number of samples from which a value is interpolated."""

@@ -23,18 +23,21 @@ from suspnet.ground.wording import command
 from suspnet.trains.recordings.columns import size_of
 from suspnet.trains.recordings.errors import all_of
 from suspnet.trains.recordings.formats import READERS
-from suspnet.trains.recordings.logger_notes import NUMBERS, Stated, key_of, stated_in
 from suspnet.trains.recordings.manifest import CHANNELS, FORMAT
 from suspnet.trains.recordings.manifest_sources import MIDDLE, UNITS
 from suspnet.trains.trips.file_contents import (
     ACCELERATION,
     MILEAGE,
+    NUMBERS,
     SPEED,
     Address,
     Contents,
     Signal,
+    Stated,
     contents_of,
     is_of_another_direction,
+    key_of,
+    stated_in,
     words_of,
 )
 from suspnet.trains.trips.trip_files import TripFiles, names_of, without_word

@@ -15,8 +15,14 @@ from suspnet.ground.parameters import SIDES
 from suspnet.ground.storage import distinct, read_plain
 from suspnet.ground.wording import natural
 from suspnet.trains.recordings.formats import READERS
-from suspnet.trains.recordings.logger_notes import Stated, key_of, read_value
-from suspnet.trains.trips.file_contents import guessed_meaning, guessed_side, words_of
+from suspnet.trains.trips.file_contents import (
+    Stated,
+    guessed_meaning,
+    guessed_side,
+    key_of,
+    read_value,
+    words_of,
+)
 
 DEEPEST = 3
 """Number of levels of folders that are searched."""

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from recording_files import needed
 
 from suspnet.trains.recordings.formats import open_file
-from suspnet.trains.recordings.logger_notes import Stated, key_of, read_value, stated_in
 from suspnet.trains.recordings.reader_server import MOST_NOTES
+from suspnet.trains.trips.file_contents import Stated, key_of, read_value, stated_in
 
 
 def values(*lines):
