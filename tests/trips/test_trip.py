@@ -320,7 +320,7 @@ def test_segments_with_unrelated_noise_are_left_out(
 )
 def test_unrelated_noise_counts_as_a_loose_sensor(manifests, model, good, tmp_path, channel, size):
     result = evaluated(noisy(manifests[0], tmp_path, channel, size), model)
-    assert result.quality.faults.startswith(f"{channel}: loose from about ")
+    assert result.quality.faults.startswith(f"{channel}: loose between ")
     # 10 s more on both sides cost two or three segments more
     assert N_SEGMENTS - 9 <= result.quality.segments_used <= N_SEGMENTS - 6
     assert result.quality.segments_used == result.quality.segments_total
@@ -496,7 +496,7 @@ def test_good_part_is_estimated(manifests, model, tmp_path, channel):
     path = loose(manifests[1], tmp_path, channel, 200)
     part = evaluate_trip(path, [model], SETTINGS)
     assert part.status == whole.status == OK
-    assert f"{channel}: loose from about " in part.quality.faults
+    assert f"{channel}: loose between " in part.quality.faults
     assert "jump" not in part.quality.faults
     assert part.flags == whole.flags == ""
     assert part.quality.n_averages == pytest.approx(whole.quality.n_averages * 190 / 300, rel=0.15)
@@ -505,14 +505,14 @@ def test_good_part_is_estimated(manifests, model, tmp_path, channel):
         assert low < whole.estimates[name] < high
     checked = check_trip(path, CheckSettings({model.vehicle.name: model.vehicle}))
     assert checked.state == READY
-    assert any(remark.startswith(f"{channel}: loose from about ") for remark in checked.remarks)
+    assert any(remark.startswith(f"{channel}: loose between ") for remark in checked.remarks)
 
 
 def test_too_little_before_is_one_reason(manifests, model, tmp_path):
     path = loose(manifests[1], tmp_path, "body", 100)
     part = evaluate_trip(path, [model], SETTINGS)
     assert part.status == NO_ESTIMATE
-    assert "too little is free of faults: body: loose from about " in part.reason
+    assert "too little is free of faults: body: loose between " in part.reason
     assert "jump" not in part.reason + part.quality.faults
     checked = check_trip(path, CheckSettings({model.vehicle.name: model.vehicle}))
     assert checked.state == TOO_LITTLE
