@@ -134,7 +134,6 @@ def test_columns_of_unclear_names_are_said_once(tmp_path):
     written(tmp_path, *SAID, "mileage_km=7", *said)
     text = (tmp_path / "run.yaml").read_text()
     assert text.count("# by the command line") == 8
-    assert text.count("# unit m/s2 by the command line; rate by the command line\n") == 4
     found = read_manifest(tmp_path / "run.yaml")
     assert [one.column for one in found.channels["axle_box"]] == ["ch0", "ch3"]
     assert [found.channels[name].column for name in CHANNELS[1:]] == ["ch1", "ch2"]

@@ -267,7 +267,7 @@ class _Writer:
         if len(candidates) != 1:
             self.missing.append(SPEED)
             return []
-        return [f"speed: {self._entry(candidates[0], SPEED)}; {self._how(SPEED, SPEED)}"]
+        return [f"speed: {self._entry(candidates[0], SPEED)}  # {self._how(SPEED, SPEED)}"]
 
     def channel(self, name: str, candidates: Sequence[Signal]) -> list[str]:
         """Return the lines of a channel: one sensor, or a left and a right one, at each axle."""
@@ -286,13 +286,15 @@ class _Writer:
         return "guess by the name"
 
     def _entry(self, signal: Signal, kind: str) -> str:
-        """Return a signal in YAML, with a comment on where unit and rate are from."""
+        """Return a signal in YAML's flow style."""
         prefix = "speed_" if kind == SPEED else ""
         # a unit of the file that no manifest can write is left to the reader
-        size, by_file = size_of(kind, signal.unit) or math.nan, signal.column.unit is not None
+        size = size_of(kind, signal.unit) or math.nan
         units = [unit for unit, other in UNITS[kind].items() if math.isclose(other, size)]
-        if math.isnan(size) or not (units or by_file):
+        if math.isnan(size) or not (units or signal.column.unit):
             self.missing.append(f"{prefix}unit")
+        if not (signal.time or math.isfinite(signal.rate_hz)):
+            self.missing.append(f"{prefix}rate_hz")
         content: dict[str, object] = {
             "file": _relative(signal.file, self.folder).as_posix(),
             "column": signal.name,
@@ -301,18 +303,10 @@ class _Writer:
             "unit": units[0] if units else "",
             "time": signal.time,
             "time_unit": signal.time_unit,
+            "rate_hz": "" if signal.time else float(signal.rate_hz),
         }
-        by_name = BY_COMMAND_LINE if "unit" in signal.said else "by the name"
-        words = f"unit {signal.unit} {'by the file' if by_file else by_name}; "
-        if signal.time:
-            words += f"{signal.rate_hz:.6g} Hz by its times"
-        elif math.isfinite(signal.rate_hz):
-            content["rate_hz"] = float(signal.rate_hz)
-            words += f"rate {BY_COMMAND_LINE if 'rate_hz' in signal.said else 'by the file'}"
-        else:
-            self.missing.append(f"{prefix}rate_hz")
         inside = ", ".join(f"{k}: {_yaml(v)}" for k, v in content.items() if v != "")
-        return f"{{{inside}}}  # {words}"
+        return f"{{{inside}}}"
 
 
 def _yaml(value: object) -> str:
@@ -392,14 +386,11 @@ def _with_said(
             changes |= {"names": (side, *signal.names), "axle": columns[address]}
     prefix = "speed_" if meaning == SPEED else ""
     unit, rate = said.get(f"{prefix}unit", ""), said.get(f"{prefix}rate_hz")
-    by_user: list[str] = []
     if unit and not signal.unit:
         changes["unit"] = unit
-        by_user.append("unit")
     if rate and not signal.time and not np.isfinite(signal.rate_hz):
         changes["rate_hz"] = float(_plain_value("rate_hz", rate))
-        by_user.append("rate_hz")
-    return replace(signal, **changes, said=tuple(by_user))
+    return replace(signal, **changes)
 
 
 def _plain_value(key: str, text: str) -> str | float:
