@@ -148,21 +148,6 @@ def test_curves_behind_an_estimate_are_those_of_the_vehicle(good, model):
     assert ((curves.coherences > 0) & (curves.coherences < 1)).all()
 
 
-def test_overview_shows_the_recording(manifests, good):
-    curves = good.curves
-    step_s = np.diff(curves.overview_s)
-    np.testing.assert_allclose(step_s, step_s[0])
-    assert curves.overview_s[-1] + step_s[0] == pytest.approx(
-        60 * MINUTES, abs=6.0
-    )  # whole windows only
-    assert (curves.overview_low < curves.overview_mean).all()
-    assert (curves.overview_mean < curves.overview_high).all()
-    np.testing.assert_allclose(curves.overview_speed, 70.0)
-    body = signal(manifests[0], "body")  # hardly anything of it lies above 25 Hz
-    assert curves.overview_high[2].max() == pytest.approx(float(body.max()), rel=0.03)
-    assert curves.overview_low[2].min() == pytest.approx(float(body.min()), rel=0.03)
-
-
 def test_quality_says_what_the_estimate_is_made_of(good):
     quality = good.quality
     assert quality.segments_used == quality.segments_total == N_SEGMENTS
@@ -327,17 +312,6 @@ def test_unrelated_noise_counts_as_a_loose_sensor(manifests, model, good, tmp_pa
     assert close(result, good)
 
 
-def test_number_of_low_coherence_is_told(no_loose_sensor, manifests, model, tmp_path):
-    path = noisy(manifests[0], tmp_path, "body", 10.0, seconds=(100, 160))
-    settings = TripSettings(min_averages=26, check_channels=False)
-    result = evaluated(path, model, settings)
-    assert result.status == NO_ESTIMATE
-    assert "28 of 28 segments without faults are steady at 70.0 m/s" in result.reason
-    # 21 segments of 20 s, each beginning 10 s after the one before; 28 are needed
-    words = "7 of them of low coherence: 3.7 minutes, at least 4.8 are needed, 1.1 more"
-    assert words in result.reason
-
-
 # failure
 
 
@@ -413,15 +387,6 @@ def test_channels_are_checked_unless_told_not_to(
     assert result.quality.usable_percent == 100.0
 
 
-def test_swapped_files_are_found(manifests, model, tmp_path):
-    values = {"bogie": signal(manifests[0], "body"), "body": signal(manifests[0], "bogie")}
-    result = evaluated(changed(manifests[0], tmp_path, signals=values), model)
-    assert result.status == ERROR
-    assert "expected if bogie is in the place of body, body is in the place of bogie;" in (
-        result.reason
-    )
-
-
 @pytest.mark.parametrize(
     ("changes", "kind"),
     [
@@ -469,14 +434,6 @@ def test_any_error_is_a_row_but_not_ctrl_c(manifests, model, monkeypatch, error,
     error = KeyboardInterrupt("stop")
     with pytest.raises(KeyboardInterrupt, match="stop"):
         evaluate_trip(manifests[0], [model], SETTINGS)
-
-
-def test_segment_of_two_overlapping_bins_counts_once(manifests, model, good):
-    near = replace(model, generator=replace(model.generator, speed_m_per_s=70.5))
-    result = evaluate_trip(manifests[0], [near, model], SETTINGS)
-    assert result.quality.segments_used == N_SEGMENTS
-    assert result.quality.n_averages == good.quality.n_averages
-    assert result.estimates == pytest.approx(good.estimates)
 
 
 # a sensor that comes loose

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from suspnet.ground.core_yaml import MOST_BYTES, dump_yaml, parse_yaml
-from suspnet.ground.findings import Finding, at, together
+from suspnet.ground.findings import Finding, at
 from suspnet.ground.parameters import ENDS, SIDES
 from suspnet.ground.records import MOST_NAME, Place
 from suspnet.ground.storage import one_line, read_json, read_plain, why, write_atomically
@@ -198,30 +198,21 @@ def find_trips(paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
     problems = []
     for path in paths:
         try:
-            manifests += _manifests(path)
+            manifests += _manifests(path) or find_manifests(path)
         except OSError as error:
             problems.append(why(error))
     return list(dict.fromkeys(manifests)), problems
 
 
 def _manifests(path: Path) -> list[Path]:
-    if not path.is_dir():
-        if not os.path.lexists(path):
-            raise FileNotFoundError(Finding("no-file-or-folder", path=path))
-        if path.suffix not in (".yaml", ".yml"):
-            raise OSError(Finding("no-manifest", path=path, value=command("init", path)))
-        return [path]
-    if not any(path.glob("*.yaml")):
-        folders = sorted(
-            folder for folder in path.iterdir() if folder.is_dir() and folder.name[0] != "."
-        )
-        inside = [file for one in folders for file in sorted(one.glob("*.yaml")) if file.is_file()]
-        if inside:
-            return inside
-        others = sorted(file.name for file in path.glob("*.yml"))
-        if others:
-            raise OSError(Finding("only-yml-files", path=path, others=together(others[:5], ", ")))
-    return find_manifests(path)
+    if path.is_dir():
+        below = (p for p in path.glob("*/*.yaml") if p.is_file() and p.parent.name[0] != ".")
+        return find_manifests(path) if any(path.glob("*.yaml")) else sorted(below)
+    if not os.path.lexists(path):
+        raise FileNotFoundError(Finding("no-file-or-folder", path=path))
+    if path.suffix not in (".yaml", ".yml"):
+        raise OSError(Finding("no-manifest", path=path, value=command("init", path)))
+    return [path]
 
 
 def partial_words(folder: Path) -> str:
