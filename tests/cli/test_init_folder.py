@@ -328,7 +328,7 @@ def test_what_is_assumed_is_listed_with_the_number_of_trips(tmp_path):
     manifest = tmp_path / "car 7" / "run_1.yaml"
     assert read_manifest(manifest).axle is None
     stated = ("bogie=trailing", "axle=trailing", "direction=reverse", "train=12")
-    assert "assumed" not in written(tmp_path, *said, *stated, "--force")
+    assert "assumed unless" not in written(tmp_path, *said, *stated, "--force")
     found = read_manifest(manifest)
     assert (found.bogie, found.axle, found.train) == ("trailing", "trailing", "12")
     assert found.suspension == "car 7"

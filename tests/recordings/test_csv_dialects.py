@@ -299,17 +299,6 @@ def test_dialects_are_for_csv_files(tmp_path):
         read(tmp_path / "data.mat", "a", csv=CsvDialect(decimal=","))
 
 
-def test_german_stamps_of_one_length_are_read_as_those_of_any(tmp_path, monkeypatch):
-    times = np.datetime64("2015-08-31T23:59:58.998", "ms") + np.arange(5000)
-    german = [f"{t[8:10]}.{t[5:7]}.{t[:4]} {t[11:19]},{t[20:]}" for t in times.astype(str)]
-    path = tmp_path / "data.csv"
-    path.write_text("\n".join(["t;a", *(f"{t};1" for t in (*german, "1.9.2015 8:00:00,5"))]))
-    for monkeypatched in (2**19, 999):
-        monkeypatch.setattr(csv_files, "BLOCK_BYTES", monkeypatched)
-        expected = np.array([*times, np.datetime64("2015-09-01T08:00:00.5")], "datetime64[ns]")
-        np.testing.assert_array_equal(read(path, "t")[0], expected)
-
-
 @pytest.mark.parametrize("wrong", ["31.08.2015 23:5x:58", "31.08.2015 \xe4"])
 def test_a_row_without_its_time_is_none(tmp_path, wrong):
     path = tmp_path / "data.csv"
