@@ -254,6 +254,6 @@ ACTING = {
 HARMLESS = (
     *("mdf xml laughs", "mdf xml entity", "mdf attachment", "mdf other file"),
     *("tdms index", "tdms Formula", "tdms Python", "tdms Add", "tdms Table", "parquet extension"),
-    *("mdf at second group", "mdf at master"),
+    *("mdf at second group", "mdf at master", "csv"),
 )
 """Those in which a column may be read, as what would act is beside it and ignored."""
