@@ -1,7 +1,7 @@
 """Data files that would run code, or read or fetch other files, if their readers did what they say.
 
 Each function of ``ACTING`` writes a file into a folder. ``canary`` there must never exist;
-``secret`` and ``secret.h5`` hold what must never come in as samples.
+``secret`` and ``secret.mat`` hold what must never come in as samples.
 """
 
 import pickle
@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from recording_files import needed, write_tdms, write_uff
+from recording_files import needed, write_tdms
 from scipy.io import savemat
 
 from suspnet.trains.recordings.formats import FORMATS
 
-SUFFIXES = [form.suffixes[0] for form in FORMATS]
+SUFFIXES = [".csv", *(suffixes[0] for suffixes in FORMATS)]
 SECRET = 42.625
-"""Value of each sample of ``secret.h5``; ``secret`` holds its bytes."""
+"""Value of each sample of ``secret.mat``; ``secret`` holds its bytes."""
 A = np.arange(50.0)
 TOUCH = "__import__('os').system('touch {canary}')"
 FORMULAS = {
@@ -45,10 +45,8 @@ FORMULAS = {
 
 def prepare(folder: Path) -> None:
     """Write what must not be read into a folder."""
-    h5py = needed("h5py")
     (folder / "secret").write_bytes(np.full(200, SECRET).tobytes())
-    with h5py.File(folder / "secret.h5", "w") as file:
-        file["x"] = np.full(200, SECRET)
+    savemat(folder / "secret.mat", {"x": np.full(200, SECRET)})
 
 
 def formula(folder: Path, text: str) -> str:
@@ -117,77 +115,6 @@ def mdf_attachment(folder: Path, *, embedded: bool) -> Path:
         )
         written = file.save(folder / "new.mf4", overwrite=True)
     return written.rename(folder / "data.mf4")
-
-
-# HDF5
-
-
-def hdf5(folder: Path, fill, suffix=".h5") -> Path:
-    """Write an HDF5 file that a function fills."""
-    h5py = needed("h5py")
-    path = folder / f"data{suffix}"
-    with h5py.File(path, "w", userblock_size=512 if suffix == ".mat" else 0) as file:
-        fill(h5py, file, folder)
-    if suffix == ".mat":
-        with path.open("r+b") as stream:
-            stream.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
-    return path
-
-
-def external(_, file, folder, files=("{folder}/secret",), shape=(200,)):
-    size = 8 * int(np.prod(shape)) // len(files)
-    parts = [(name.format(folder=folder), 0, size) for name in files]
-    file.create_dataset("a", shape, dtype="f8", external=parts)
-
-
-def virtual(h5py, file, folder, source="{folder}/secret.h5", length=200, most=None):
-    layout = h5py.VirtualLayout((length,), "f8", maxshape=(most,))
-    name = source.format(folder=folder)
-    if most is None and length == 0:
-        origin = h5py.VirtualSource(name, "x", (200,), maxshape=(None,))
-        layout = h5py.VirtualLayout((200,), "f8", maxshape=(None,))
-        layout[0 : h5py.h5s.UNLIMITED] = origin[0 : h5py.h5s.UNLIMITED]
-    else:
-        layout[:] = h5py.VirtualSource(name, "x", (length,))
-    file.create_virtual_dataset("a", layout)
-
-
-def virtual_of_external(h5py, file, folder):
-    external(h5py, file.create_group("g"), folder)
-    layout = h5py.VirtualLayout((200,), "f8")
-    layout[:] = h5py.VirtualSource(".", "g/a", (200,))
-    file.create_virtual_dataset("b", layout)
-
-
-def link(h5py, file, folder, target="external"):
-    if target == "external":
-        file["a"] = h5py.ExternalLink(str(folder / "secret.h5"), "x")
-    elif target == "external group":
-        file["a"] = h5py.ExternalLink(str(folder / "secret.h5"), "/")
-    elif target == "loop":
-        file["a"], file["b"] = h5py.SoftLink("/b"), h5py.SoftLink("/a")
-    elif target == "hard loop":
-        file.create_group("g")["up"] = file["/"]
-    elif target == "through":
-        file["b"] = h5py.ExternalLink(str(folder / "secret.h5"), "/")
-        file["a"] = h5py.SoftLink("/b/x")
-
-
-def plugin(h5py, file, _, number=32001):
-    plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-    plan.set_chunk((50,))
-    plan.set_filter(number, h5py.h5z.FLAG_OPTIONAL, (1, 2))
-    space = h5py.h5s.create_simple((50,))
-    h5py.h5d.create(file.id, b"a", h5py.h5t.NATIVE_DOUBLE, space, plan)
-    h5py.Dataset(file["a"].id).id.write_direct_chunk((0,), A.tobytes())
-
-
-def references(h5py, file, _):
-    file["x"] = A
-    file.create_dataset("a", (2,), h5py.ref_dtype)[0] = file["x"].ref
-    file.create_dataset("b", (2,), h5py.regionref_dtype)[0] = file["x"].regionref[:9]
-    file.create_dataset("c", (2,), h5py.vlen_dtype("f8"))[0] = A
-    file["x"].attrs["unit"] = np.void(pickle.dumps(print))
 
 
 # MAT, TDMS, Parquet and others
@@ -280,13 +207,6 @@ def parquet_path(folder: Path) -> Path:
     return folder / "data.parquet"
 
 
-def uff(folder: Path) -> Path:
-    write_uff(folder / "data.uff", {formula(folder, TOUCH): A})
-    content = (folder / "data.uff").read_bytes()
-    (folder / "data.uff").write_bytes(content.replace(b"NONE", b"eval"))
-    return folder / "data.uff"
-
-
 def csv(folder: Path) -> Path:
     text = formula(folder, "=cmd|'touch {canary}'!A1")
     (folder / "data.csv").write_text(f"t,a\n0,1\n1,2\n2,{text}\n")
@@ -315,48 +235,9 @@ ACTING = {
         f"mdf {version}": partial(mdf, version=version)
         for version in ("4.00", "4.20", "3.30", "3.20")
     },
-    **{
-        f"mdf 3 {name}": partial(mdf, text=FORMULAS[name], version="3.30")
-        for name in ("open", "eval", "read", "tower")
-    },
-    "mdf 3 at master": partial(mdf, version="3.30", place="master"),
     **{f"mdf xml {name}": partial(mdf_comment, text=text) for name, text in XML.items()},
     "mdf attachment": partial(mdf_attachment, embedded=True),
     "mdf other file": partial(mdf_attachment, embedded=False),
-    **{
-        f"hdf5 external {name}": partial(hdf5, fill=partial(external, **how))
-        for name, how in {
-            "file": {},
-            "relative": {"files": ("secret",)},
-            "two": {"files": ("{folder}/secret", "{folder}/secret")},
-            "matrix": {"shape": (100, 2)},
-            "one value": {"shape": (1,)},
-            "passwords": {"files": ("/etc/passwd",), "shape": (20,)},
-        }.items()
-    },
-    "mat 7.3 external": partial(hdf5, fill=external, suffix=".mat"),
-    **{
-        f"hdf5 virtual {name}": partial(hdf5, fill=partial(virtual, **how))
-        for name, how in {
-            "file": {},
-            "relative": {"source": "secret.h5"},
-            "pattern": {"source": "{folder}/secret.h5%%"},
-            "itself": {"source": "."},
-            "absent": {"source": "{folder}/absent.h5"},
-            "unlimited": {"length": 0},
-        }.items()
-    },
-    "mat 7.3 virtual": partial(hdf5, fill=virtual, suffix=".mat"),
-    "hdf5 virtual of external": partial(hdf5, fill=virtual_of_external),
-    **{
-        f"hdf5 link {target}": partial(hdf5, fill=partial(link, target=target))
-        for target in ("external", "external group", "loop", "hard loop", "through")
-    },
-    **{
-        f"hdf5 plug-in {number}": partial(hdf5, fill=partial(plugin, number=number))
-        for number in (305, 307, 32001, 32004, 32015, 65535)
-    },
-    "hdf5 references": partial(hdf5, fill=references),
     **{f"mat class {number}": partial(mat_class, number=number) for number in (3, 16, 17)},
     "mat pickle": mat_pickle,
     **{f"pickle as {suffix}": partial(pickled, suffix=suffix) for suffix in SUFFIXES},
@@ -367,13 +248,12 @@ ACTING = {
     },
     "parquet extension": parquet_extension,
     "parquet path": parquet_path,
-    "uff": uff,
     "csv": csv,
     **{f"link as {suffix}": partial(linked, suffix=suffix) for suffix in SUFFIXES},
 }
 HARMLESS = (
-    *("mdf xml laughs", "mdf xml entity", "mdf attachment", "mdf other file", "hdf5 references"),
+    *("mdf xml laughs", "mdf xml entity", "mdf attachment", "mdf other file"),
     *("tdms index", "tdms Formula", "tdms Python", "tdms Add", "tdms Table", "parquet extension"),
-    *("mdf at second group", "mdf at master", "mdf 3 at master", "uff"),
+    *("mdf at second group", "mdf at master", "csv"),
 )
 """Those in which a column may be read, as what would act is beside it and ignored."""

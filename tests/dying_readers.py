@@ -60,4 +60,4 @@ def open_dying(path):
             values = np.arange(N_SAMPLES * i, N_SAMPLES * (i + 1), dtype=float)
             yield tuple(values if name == "a" else values.astype("M8[ns]") for name in names)
 
-    yield OpenFile((Column("t", is_time=True), Column("a", "g")), read, str(os.getpid()), "; hint")
+    yield OpenFile((Column("t", is_time=True), Column("a", "g")), read, str(os.getpid()))

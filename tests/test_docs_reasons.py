@@ -10,8 +10,7 @@ from suspnet.ground.records import TripResult
 from suspnet.trains.recordings.cleaning import KINDS
 from suspnet.trains.recordings.formats import READERS
 from suspnet.trains.recordings.manifest import MANIFEST
-from suspnet.trains.recordings.manifest_keys import CsvDialect, keys_of
-from suspnet.trains.recordings.manifest_sources import SensorSource
+from suspnet.trains.recordings.manifest_sources import CsvDialect, SensorSource, keys_of
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "recordings.md").read_text(encoding="utf-8")

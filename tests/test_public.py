@@ -210,4 +210,4 @@ def test_trip_without_enough_averages_has_no_estimate():
 
 def test_model_of_curves_cannot_read_a_trip(trained):
     with pytest.raises(suspnet.ModelFileError, match="trips need one of"):
-        trained[1].estimate(suspnet.Recording(None, 100.0, np.zeros((3, 10)), None, None, (), 0.1))
+        trained[1].estimate(suspnet.Recording(None, 100.0, {}, None, None, (), 0.1))

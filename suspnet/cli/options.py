@@ -31,15 +31,13 @@ exit code: 0 if every trip could be read, 1 if there is any problem.
 INIT_DESCRIPTION = """\
 Write the manifests of all trips of a folder, or of one trip, from data files: their columns, with
 the rates and units that the files state. Which column is which channel is guessed from names (axle
-box, bogie frame, body, left, right, speed; in English or German) and marked as a guess. What is
-missing for a folder is one list, and nothing is written; in the manifest of one trip it is marked
-FILL_IN. With --vehicle, write the file of a vehicle."""
+box, bogie frame, body, left, right, speed; in English or German) and marked as a guess. If anything
+is missing, it is listed and nothing is written. With --vehicle, write the file of a vehicle."""
 INIT_EPILOG = """\
   suspnet init trips/car7                       what is missing for the manifests of all trips?
   suspnet init trips/car7 vehicle=am96 suspension="car 7" --table km.csv
   suspnet init --vehicle mine vehicles          what numbers does the file of a vehicle need?
-  suspnet init trip_7/*.csv -o trip_7.yaml      then fill in what is marked, and
-  suspnet check trip_7.yaml"""
+  suspnet init trip_7/*.csv -o trip_7.yaml      the manifest of one trip"""
 HISTORY_DESCRIPTION = """\
 The history of a fleet, as written by evaluate.py trips=DIR store=STORE: list it, add maintenance,
 show and acknowledge alarms, export all of it as tables."""
@@ -132,8 +130,9 @@ def init_parser() -> ArgumentParser:
         "files",
         nargs="*",
         metavar="DIR | FILE | KEY=VALUE",
-        help="folder of data files of any number of trips and, as KEY=VALUE, what holds for all of "
-        "them; or data files of one trip; of --vehicle the folder of vehicles and its numbers "
+        help="folder of data files of any number of trips, or data files of one trip, and "
+        "what holds for all of them as KEY=VALUE; of --vehicle the folder of vehicles and its "
+        "numbers "
         f"[paths with {', '.join(sorted(READERS))}]",
     )
     parser.add_argument(
@@ -147,7 +146,7 @@ def init_parser() -> ArgumentParser:
         "--table",
         type=Path,
         metavar="FILE",
-        help="of a folder: table of its trips with columns file, mileage_km, start, direction and "
+        help="table of the trips with columns file, mileage_km, start, direction and "
         "other keys of a manifest, names in English or German; if there is no such file and "
         "mileages are missing, it is written to be filled in [path of a CSV file]",
     )

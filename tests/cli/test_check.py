@@ -412,9 +412,6 @@ def test_subfolders_are_searched_and_pictures_have_names_of_their_own(manifests,
     assert [path.parent.name for path in paths] == ["left", "right"]
     assert problems == []
     assert list(check.picture_names(paths).values()) == ["trip.png", "trip_2.png"]
-    (tmp_path / "yml").mkdir()
-    (tmp_path / "yml/trip.yml").touch()
-    assert "rename trip.yml" in find_trips([tmp_path / "yml"])[1][0]
 
 
 def test_commands_of_the_docs_are_understood():

@@ -20,7 +20,7 @@ from suspnet.ground import ledger
 from suspnet.ground.storage import write_atomically
 from suspnet.trains.recordings.manifest import CHANNELS
 from suspnet.trains.recordings.manifest_files import read_manifest
-from suspnet.trains.trips.trip_files import find_tables, find_trip_files
+from suspnet.trains.trips.trip_files import find_trip_files
 from suspnet.vehicle import Vehicle
 
 WORDS = ("Achslager", "Rahmen", "Wagenkasten")
@@ -43,7 +43,7 @@ def asked(folder, *said):
     assert sorted(folder.rglob("*.yaml")) == before
     lines = done.stdout.splitlines()[1:-1]
     keys = {line.partition(":")[0].split()[0] for line in lines if line[2:3] != " "}
-    return keys - {"direction,", "bogie,", "axle,", "train,"}  # these need not be said
+    return keys - {"assumed"}
 
 
 def write_german(path, n=400, columns=None, above=()):
@@ -78,11 +78,9 @@ def test_german_files_of_two_formats_need_one_command(tmp_path):
     words = written(tmp_path, "suspension=4711", "speed=252 km/h", "side=middle", "--table", table)
     assert "2 manifests of 2 trips" in words
     one, two = (read_manifest(tmp_path / f"Fahrt_{i}.yaml") for i in (1, 2))
-    assert (one.bogie, two.bogie, two.direction) == ("leading", "trailing", "forward")
+    assert (one.bogie, two.bogie, two.direction) == ("leading", None, "forward")
     assert (one.mileage_km, two.mileage_km) == (19250.5, 20000.0)
     assert one.suspension == two.suspension == "4711"
-    assert one.start == START
-    assert two.start.replace(tzinfo=None) == START
     assert one.channels["bogie"][1].column == "Rahmen re [m/s²]"
     assert {channel.time for channel in one.channels["bogie"]} == {"Zeitstempel"}
     assert one.speed == two.speed == 70.0
@@ -119,15 +117,14 @@ def test_missing_mileages_are_asked_for_in_a_table(tmp_path):
     assert [read_manifest(tmp_path / f"run_{i}.yaml").mileage_km for i in (1, 2)] == [1000.5] * 2
 
 
-def test_file_of_both_bogies_is_a_trip_of_each(tmp_path):
+def test_columns_of_both_bogies_in_one_file_are_said(tmp_path):
     names = [f"DG{bogie} {word}" for bogie in (1, 2) for word in WORDS]
     write_plain(tmp_path / "run.parquet", names)
-    (tmp_path / "km.csv").write_text("file;mileage_km\nrun.parquet;7\n")
-    written(tmp_path, *SAID, "--table", tmp_path / "km.csv")
-    for number, bogie in ((1, "leading"), (2, "trailing")):
-        found = read_manifest(tmp_path / f"run_{bogie}.yaml")
-        assert found.bogie == bogie
-        assert found.channels["body"].column == f"DG{number} Wagenkasten"
+    said = [*SAID, "mileage_km=7"]
+    assert asked(tmp_path, *said) == {f"channels.{name}" for name in CHANNELS}
+    said += [f"channels.{c}=DG2 {word}" for c, word in zip(CHANNELS, WORDS, strict=True)]
+    written(tmp_path, *said, "bogie=trailing")
+    assert read_manifest(tmp_path / "run.yaml").channels["body"].column == "DG2 Wagenkasten"
 
 
 def test_columns_of_unclear_names_are_said_once(tmp_path):
@@ -137,7 +134,6 @@ def test_columns_of_unclear_names_are_said_once(tmp_path):
     written(tmp_path, *SAID, "mileage_km=7", *said)
     text = (tmp_path / "run.yaml").read_text()
     assert text.count("# by the command line") == 8
-    assert text.count("# unit m/s2 by the command line; rate by the command line;") == 4
     found = read_manifest(tmp_path / "run.yaml")
     assert [one.column for one in found.channels["axle_box"]] == ["ch0", "ch3"]
     assert [found.channels[name].column for name in CHANNELS[1:]] == ["ch1", "ch2"]
@@ -186,45 +182,17 @@ def test_manifests_that_exist_are_left_and_new_trips_added(tmp_path):
     assert read_manifest(tmp_path / "run_1.yaml").mileage_km == 7.0
 
 
-def test_two_loggers_in_one_folder_have_their_own_columns_and_bogies(tmp_path):
+def test_two_loggers_in_one_folder_have_their_own_columns(tmp_path):
     write_german(tmp_path / "DG1_1.csv")
     names = ["ACC_1", "ACC_2", "ACC_3"]
     columns = {name: np.sin(np.arange(400.0)) for name in names}
     pq.write_table(pa.table(columns), tmp_path / "DG2_1.parquet")
     channels = [f"channels.{key}={name}" for key, name in zip(CHANNELS, names, strict=True)]
     (tmp_path / "km.csv").write_text("file;mileage_km\nDG1_1;7\nDG2_1;7\n")
-    words = written(tmp_path, *SAID, *channels, "--table", tmp_path / "km.csv")
-    assert "bogie: guess by files named dg1 (1), guess by files named dg2 (1)" in words
+    written(tmp_path, *SAID, *channels, "--table", tmp_path / "km.csv")
     first, second = (read_manifest(tmp_path / f"DG{i}_1.yaml") for i in (1, 2))
-    assert (first.bogie, second.bogie) == ("leading", "trailing")
     assert "Achslager li [m/s²]" in str(first.channels["axle_box"])
     assert "ACC_1" in str(second.channels["axle_box"])
-
-
-@pytest.mark.parametrize(
-    ("axles", "places"),
-    [
-        ((4,), ["trailing trailing"]),
-        ((3,), ["trailing leading"]),
-        ((2,), ["leading trailing"]),
-        ((1, 4), ["leading leading", "trailing trailing"]),
-        ((3, 4), ["trailing None"]),
-    ],
-)
-def test_numbers_of_axles_name_bogie_and_axle(tmp_path, axles, places):
-    names = [f"AL{axle}_{side}" for axle in axles for side in "LR"]
-    for bogie in dict.fromkeys((axle + 1) // 2 for axle in axles):
-        names += [f"DG{bogie} {side}" for side in "LR"]
-    columns = dict.fromkeys([*names, "WK_L", "WK_R"], np.sin(np.arange(400.0)))
-    columns["mileage_km"] = np.full(400, 7.0)
-    pq.write_table(pa.table(columns), tmp_path / "run.parquet")
-    words = written(tmp_path, *SAID)
-    found = [read_manifest(path) for path in sorted(tmp_path.glob("*.yaml"))]
-    assert [f"{one.bogie} {one.axle}" for one in found] == places
-    if axles == (4,):
-        assert "axle: guess by columns named axle 4 (1)" in words
-    if axles == (3, 4):
-        assert [one.axle for one in found[0].channels["axle_box"]] == [None, None, 2, 2]
 
 
 def test_unknown_vehicles_of_loggers_are_listed_with_all_that_is_missing(tmp_path):
@@ -236,9 +204,9 @@ def test_unknown_vehicles_of_loggers_are_listed_with_all_that_is_missing(tmp_pat
     assert done.returncode == 1
     first, *rest = done.stdout.splitlines()
     assert first.endswith("nothing is written yet; these are missing or wrong:")
-    assert "got 'ET 12' (by the line 'Fahrzeug" in rest[0]
-    assert "got 'ET 4711 Wagen 3' (by the line 'Fahrzeug" in rest[1]
-    assert "vehicle=NAME says it for all trips" in rest[0]
+    assert "  vehicle: 'ET 12' (by the line 'Fahrzeug') is no vehicle of suspnet's, nor" in rest[0]
+    assert "  vehicle: 'ET 4711 Wagen 3' (by the line 'Fahrzeug" in rest[1]
+    assert "vehicle=am96 or another of them says it for all trips" in rest[0]
     assert any(line.startswith("  suspension: ") for line in rest)  # with all that is missing
     assert not list(tmp_path.glob("*.yaml"))
 
@@ -272,38 +240,10 @@ def test_mistakes_are_one_line_and_write_nothing(tmp_path, said, table, words):
     assert not list(tmp_path.glob("*.yaml"))
 
 
-def test_data_files_that_are_not_read_are_named(tmp_path):
-    (tmp_path / "a" / "b" / "c").mkdir(parents=True)
-    for name in ("1.lvm", "2.LVM", "run.d7d", "notes.pdf", "odd.xyz"):
-        (tmp_path / name).write_text("x")
-    line = "1.lvm and 1 more, {0}/odd.xyz, {0}/run.d7d; export them to one of .asc, .csv"
-    line = line.format(tmp_path)
+def test_a_folder_without_data_files_is_refused(tmp_path):
+    (tmp_path / "1.lvm").write_text("x")
     done = typed(init, tmp_path, cwd=tmp_path)
-    assert f"holds no data file; not read: {tmp_path}/{line}" in done.stderr
-    write_plain(tmp_path / "run.parquet")
-    said = typed(init, tmp_path, cwd=tmp_path).stdout
-    assert f"not read: {tmp_path}/{line}" in said
-    assert f"not searched: {tmp_path}/a/b/c: below 3 levels of folders" in said
-
-
-@pytest.mark.parametrize("times", [[0.0, 0.002, 0.001, 0.003], [0.0, 0.01, 0.01, 0.01]])
-def test_times_that_fall_or_repeat_are_named(tmp_path, times):
-    stamps = np.arange(0, 0.4, 0.004)[:, None] + times
-    rows = [f"{t:.9g},1,2,{t}" for t in stamps.ravel()]
-    for name in ("a", "b"):
-        (tmp_path / f"{name}.csv").write_text("\n".join(["t [s],axle_box,bogie,body", *rows]))
-    why = (
-        f"a.csv: the times 't [s]' must rise, but {times[2]:g} follows {times[1]:g} (sample 3), so"
-    )
-    said = [one for one in SAID if not one.startswith("rate_hz")]
-    done = typed(init, tmp_path, *said, cwd=tmp_path)
-    assert why in done.stdout
-    assert "spaced (likewise 1 other file)" in done.stdout
-    assert "t [s]'," not in done.stdout
-    (tmp_path / "b.csv").unlink()
-    assert why in written(tmp_path, *SAID, "mileage_km=1")
-    assert why in (tmp_path / "a.yaml").read_text()
-    assert why in typed(init, "a.csv", "--output", "one.yaml", cwd=tmp_path).stdout
+    assert "holds no data file; they end with .asc, .csv" in done.stderr
 
 
 NUMBERS = {
@@ -358,50 +298,17 @@ def test_mistakes_in_a_vehicle_are_one_line(tmp_path, words, said):
     assert not list(tmp_path.iterdir())
 
 
-def test_table_of_trips_among_the_recordings_is_no_recording(tmp_path):
-    table = "file;mileage_km;direction\n{};1000;forward\n"
-    for name in ("run_1", "run_2"):
-        write_plain(tmp_path / f"{name}.parquet")
-    (tmp_path / "trips.csv").write_text(table.format("run_1.parquet"))
-    write_plain(tmp_path / "more" / "run_3.parquet")
-    (tmp_path / "more" / "Fahrten.csv").write_text("Fahrt;km-Stand\nrun_3;30\n")
-    write_german(tmp_path / "run_4.csv", columns={"trip": np.arange(400), "file": np.ones(400)})
-    assert [path.name for path in find_tables(tmp_path)] == ["Fahrten.csv", "trips.csv"]
-    done = typed(init, tmp_path, *SAID, cwd=tmp_path)
-    assert "4 trips in" in done.stdout
-    assert "trips.csv is a table of trips, which --table" in done.stdout
-    assert "more/Fahrten.csv is a table of trips, which --table" in done.stdout
-    (tmp_path / "run_4.csv").unlink()
-    table = ("--table", tmp_path / "trips.csv")
-    words = typed(init, tmp_path, *SAID, *table, cwd=tmp_path).stdout
-    assert "3 trips in" in words
-    assert "trips.csv is a table" not in words
-    assert "mileage_km (in 2 of them)" in words
-
-
-@pytest.mark.parametrize(
-    "content", [b"", b"file\n", b"file;x\n\0;\xff\n", b"\xef\xbb\xbffile\nother\n"]
-)
-def test_whatever_is_no_table_of_these_trips_stays_a_recording(tmp_path, content):
-    write_plain(tmp_path / "run_1.parquet")
-    (tmp_path / "odd.csv").write_bytes(content)
-    assert find_tables(tmp_path) == []
-    assert len(find_trip_files(tmp_path)) == 2
-
-
 def test_own_vehicle_is_found_in_a_folder_here_or_asked_for(tmp_path):
     write_plain(tmp_path / "car 7" / "run_1.parquet")
     said = ("car 7", "vehicle=metro", *SAID[1:], "mileage_km=1")
     done = typed(init, *said, cwd=tmp_path)
-    assert "metro is no vehicle of suspnet's: say vehicle=am96 or another of them" in done.stdout
-    assert "without it swapped sensors, units and signs are not checked" in done.stdout
-    assert done.stdout.endswith("then run: suspnet check 'car 7' --config-dir DIR\n")
+    assert "  vehicle: 'metro' (by the command line) is no vehicle of suspnet's: " in done.stdout
+    assert "--config-dir DIR, the folder with vehicle/metro.yaml, which suspnet" in done.stdout
     shipped = (Path(CONFIGS) / "vehicle" / "am96.yaml").read_text()
     own = tmp_path / "mine" / "vehicle"
     own.mkdir(parents=True)
     (own / "metro.yaml").write_text(shipped.replace("name: am96", "name: metro"))
-    done = typed(init, *said, "--force", cwd=tmp_path)
-    assert "is no vehicle" not in done.stdout
+    done = typed(init, *said, cwd=tmp_path)
     assert done.stdout.endswith("then run: suspnet check 'car 7' --config-dir mine\n")
     checked = typed(check, *shlex.split(done.stdout.splitlines()[-1])[4:], cwd=tmp_path)
     assert "metro, car 7" in checked.stdout
@@ -411,64 +318,25 @@ def test_own_vehicle_is_found_in_a_folder_here_or_asked_for(tmp_path):
     assert "run: suspnet check 'car 7/run_1.yaml' --config-dir mine\n" in manifest
 
 
-def test_the_bogie_of_each_of_several_folders_has_a_command(tmp_path):
-    for car, km in (("car 1", 100), ("car 2", 200)):
-        path = tmp_path / "log" / car / f"run {km} km.csv"
-        path.parent.mkdir(parents=True)
-        write_german(path, above=[f"Kilometerstand;{km} km", ""])
-    done = typed(init, "log", *SAID, cwd=tmp_path)
-    assert done.stderr == ""
-    (line,) = [one for one in done.stdout.splitlines() if "of log/car 2 alone: " in one]
-    command = shlex.split(line.partition(": ")[2].removesuffix(" (or trailing)"))
-    assert command[:4] == ["suspnet", "init", "log/car 2", "--force"]
-    typed(init, *command[2:], cwd=tmp_path)
-    found = [read_manifest(*(tmp_path / "log" / car).glob("*.yaml")) for car in ("car 1", "car 2")]
-    assert [one.bogie for one in found] == [None, "leading"]
-
-
-def test_the_train_of_several_suspensions_is_asked_for(tmp_path):
-    line = "train, not stated in 2, is taken as another one for each suspension"
-    said = [one for one in SAID if not one.startswith("suspension")]
-    for place, km in (("front", 100), ("rear", 200)):
-        path = tmp_path / place / "run.csv"
-        path.parent.mkdir()
-        write_german(path, above=[f"Kilometerstand;{km} km", ""])
-    assert line in written(tmp_path, *said)
-    assert line not in written(tmp_path, *said, "train=12", "--force")
-    assert read_manifest(tmp_path / "rear" / "run.yaml").train == "12"
-    assert line not in written(tmp_path, *SAID, "--force")  # bogies of one suspension are one train
-
-
-@pytest.mark.parametrize("key", ["bogie", "axle"])
-def test_the_end_of_the_sensors_is_asked_for_with_its_default(tmp_path, key):
+def test_what_is_assumed_is_listed_with_the_number_of_trips(tmp_path):
     write_plain(tmp_path / "car 7" / "run_1.parquet")
-    line = f"{key}, not stated in 1, is taken as the leading one"
     said = [*(one for one in SAID if not one.startswith("suspension")), "mileage_km=1"]
+    line = "states it: bogie (1): the leading one; axle (1): the leading one of that bogie; direc"
     assert line in typed(init, tmp_path, cwd=tmp_path).stdout
     assert line in (words := written(tmp_path, *said))
     assert "suspension: by the folder (1)" in words
     manifest = tmp_path / "car 7" / "run_1.yaml"
-    assert getattr(read_manifest(manifest), key) is None
-    assert line not in written(tmp_path, *said, f"{key}=trailing", "--force")
-    assert getattr(read_manifest(manifest), key) == "trailing"
-    assert read_manifest(manifest).suspension == "car 7"
+    assert read_manifest(manifest).axle is None
+    stated = ("bogie=trailing", "axle=trailing", "direction=reverse", "train=12")
+    assert "assumed unless" not in written(tmp_path, *said, *stated, "--force")
+    found = read_manifest(manifest)
+    assert (found.bogie, found.axle, found.train) == ("trailing", "trailing", "12")
+    assert found.suspension == "car 7"
 
 
-CORNERS = ("box 1 left", "box 1 right", "box 2 left", "box 2 right")
-
-
-@pytest.mark.parametrize(
-    ("boxes", "frames", "said"),
-    [
-        (CORNERS, ("frame corner 1 left", "frame corner 2 right"), ()),
-        (
-            ("b1", "b2", "b3", "b4"),
-            ("f1", "f2"),
-            ("channels.axle_box=b1,b2,b3@2,b4@2", "channels.bogie=f1,f2@2", "channels.body=body"),
-        ),
-    ],
-)
-def test_sensors_at_both_axles_are_written_with_their_axle(tmp_path, boxes, frames, said):
+def test_sensors_at_both_axles_are_written_with_their_axle(tmp_path):
+    boxes, frames = ("b1", "b2", "b3", "b4"), ("f1", "f2")
+    said = ("channels.axle_box=b1,b2,b3@2,b4@2", "channels.bogie=f1,f2@2", "channels.body=body")
     write_plain(tmp_path / "run_1.parquet", (*boxes, *frames, "body"))
     written(tmp_path, *SAID, "mileage_km=1", *said)
     manifest = read_manifest(tmp_path / "run_1.yaml")
@@ -486,7 +354,6 @@ LOGGERS = {
     "in German": (GERMAN, "DIR.yaml"),
     "in a subfolder": ([f"run 7/{place}" for place in PLACES], "run 7.yaml"),
     "behind a name": ([f"run_7_{place}" for place in PLACES], "run_7.yaml"),
-    "in folders of places": ([f"{place}/rec" for place in PLACES], "rec.yaml"),
 }
 """Files of three loggers of one kind, without their ending, and the manifest of their trip."""
 

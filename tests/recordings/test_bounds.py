@@ -6,7 +6,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from recording_files import needed
 from scipy.io import savemat
 
 from suspnet.trains.recordings import columns
@@ -17,14 +16,7 @@ from suspnet.trains.recordings.formats import open_columns
 RATE_HZ, MINUTES = 5000, 10
 
 
-def write_hdf5(path, values):
-    h5py = needed("h5py")
-    with h5py.File(path, "w") as file:
-        file.create_dataset("a", data=values, compression="gzip", compression_opts=1)
-
-
 PACKED = {
-    ".h5": write_hdf5,
     ".mat": lambda path, values: savemat(path, {"a": values}, do_compression=True),
     ".parquet": lambda path, values: pq.write_table(pa.table({"a": values}), path, "zstd"),
 }
@@ -34,9 +26,7 @@ def count(path):
     return sum(len(block[0]) for block in open_columns(path, ["a"]))
 
 
-@pytest.mark.parametrize(
-    "suffix", [".h5", *(pytest.param(s, marks=pytest.mark.slow) for s in (".mat", ".parquet"))]
-)
+@pytest.mark.parametrize("suffix", [".mat", pytest.param(".parquet", marks=pytest.mark.slow)])
 def test_channel_of_nothing_but_zeros_is_read(tmp_path, suffix):
     path, n = tmp_path / f"data{suffix}", RATE_HZ * 60 * MINUTES
     PACKED[suffix](path, np.zeros(n))

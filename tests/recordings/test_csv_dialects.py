@@ -14,8 +14,7 @@ from suspnet.trains.recordings import csv_dialect, csv_files
 from suspnet.trains.recordings.csv_dialect import find_dialect
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.formats import open_columns, open_file, read_columns
-from suspnet.trains.recordings.manifest_keys import CsvDialect
-from suspnet.trains.recordings.manifest_sources import SensorSource
+from suspnet.trains.recordings.manifest_sources import CsvDialect, SensorSource
 
 ROWS = np.array([[0.0, 1.5, -0.25], [0.1, -2.5, 1e-5], [0.2, np.nan, 12.0], [0.3, 4.0, 0.125]])
 
@@ -73,7 +72,7 @@ def test_detected_dialect_is_named(tmp_path):
     with open_file(path) as file:
         assert file.words == (
             "data.csv: delimiter ';', decimal sign ',', names in line 3, rows from line 4 on, "
-            "utf-16 with byte-order mark"
+            "utf-16"
         )
         assert [column.name for column in file.columns] == ["Zeit", "a [g]", "column_3"]
         assert file.column("a [g]").unit == "g"
@@ -284,11 +283,11 @@ def test_several_tables_are_refused(tmp_path, names):
 
 
 def test_later_rows_of_another_dialect_are_refused(tmp_path):
-    path = written(tmp_path, "t;a\n" + "0;1\n" * 200_000 + "0,5;1,5\n")
-    message = r"text in a column of numbers.*line 200002.*'0,5'.*decimal sign is taken to be '\.'"
+    path = written(tmp_path, "t;a\n" + "0;1\n" * 80_000 + "0,5;1,5\n")
+    message = r"text in a column of numbers.*line 80002.*'0,5'.*decimal sign is taken to be '\.'"
     with pytest.raises(TripError, match=message):
         read(path, "t")
-    path.write_text("t;a\n" + "2015-08-03T08:00:00;1\n" * 200_000 + "2015-08-03T08:00:00Z;1\n")
+    path.write_text("t;a\n" + "2015-08-03T08:00:00;1\n" * 20_000 + "2015-08-03T08:00:00Z;1\n")
     with pytest.raises(TripError, match="a time stamp is not like the first"):
         read(path, "t", "a")
 
@@ -300,18 +299,7 @@ def test_dialects_are_for_csv_files(tmp_path):
         read(tmp_path / "data.mat", "a", csv=CsvDialect(decimal=","))
 
 
-def test_german_stamps_of_one_length_are_read_as_those_of_any(tmp_path, monkeypatch):
-    times = np.datetime64("2015-08-31T23:59:58.998", "ms") + np.arange(5000)
-    german = [f"{t[8:10]}.{t[5:7]}.{t[:4]} {t[11:19]},{t[20:]}" for t in times.astype(str)]
-    path = tmp_path / "data.csv"
-    path.write_text("\n".join(["t;a", *(f"{t};1" for t in (*german, "1.9.2015 8:00:00,5"))]))
-    for monkeypatched in (2**19, 999):
-        monkeypatch.setattr(csv_files, "BLOCK_BYTES", monkeypatched)
-        expected = np.array([*times, np.datetime64("2015-09-01T08:00:00.5")], "datetime64[ns]")
-        np.testing.assert_array_equal(read(path, "t")[0], expected)
-
-
-@pytest.mark.parametrize("wrong", ["31.08.2015 23:5x:58", "31.09.2015 23:59:58", "31.08.2015 \xe4"])
+@pytest.mark.parametrize("wrong", ["31.08.2015 23:5x:58", "31.08.2015 \xe4"])
 def test_a_row_without_its_time_is_none(tmp_path, wrong):
     path = tmp_path / "data.csv"
     lines = [f"31.08.2015 23:59:{second};1" for second in range(10, 59)]
@@ -321,6 +309,9 @@ def test_a_row_without_its_time_is_none(tmp_path, wrong):
         assert re.search("are missing samples .1, first in line 42: '3", file.remarks[0])
     times, values = (np.concatenate(part) for part in zip(*blocks, strict=True))
     assert np.flatnonzero(np.isnat(times)) == np.flatnonzero(np.isnan(values)) == 40
+    lines[40] = "31.09.2015 23:59:50;1"  # no date: its value has no time
+    path.write_text("\n".join(["t;a", *lines]))
+    assert np.flatnonzero(np.isnat(read(path, "t", "a")[0])) == 40
     path.write_text("\n".join(["t;a", *lines, "31/08/2015 23:59:59;1"]))
     with pytest.raises(TripError, match=r"a time stamp is not like the first .line 51: '31/08"):
         read(path, "t", "a")
@@ -338,11 +329,11 @@ TABLE = rows(lambda ms: f"{ms / 1000:.3f}")
 STATED = {
     "a word in the first row": (
         "t,a\n-1,ERR\n" + TABLE,
-        "words .* are missing .1, first in line 2: 'ERR'",
+        "words .* are missing .1, first in line 2: '-1,ERR'",
     ),
     "a word in the third row": (
         f"t,a\n-3,7\n-2,8\n-1,over range\n{TABLE}",
-        "words in place .* are missing .1, first in line 4: 'over range'",
+        "words in place .* are missing .1, first in line 4: '-1,over range'",
     ),
     "words in all pieces": (
         "t,a\n" + TABLE.replace("9.5\n", "9.5\n,bad\n"),
@@ -356,8 +347,6 @@ STATED = {
     "names, descriptions, units": ("Time,Acc\nlogger,axle box\ns,g\n" + TABLE, "in line 1"),
     "names, units, sensitivities": ("t,a\ns,g\nScale,100.2\n" + TABLE, "in line 1"),
     "metadata of as many cells": ("Operator,Smith\nt,a\n" + TABLE, "names in line 2"),
-    "names over two lines": ('"Time\n(s)","Acc\n(g)"\n' + TABLE, "names in line 3"),
-    "a tag": (";Headers, time, a\n;Units, s, g\n" + TABLE, "names in line 1"),
     "a cut last line": (
         f"t,a\n{TABLE}0.9",
         "lines .* outside of its table are .* .1, first in line 32: '0.9'",
@@ -397,20 +386,12 @@ def test_good_rows_are_read_and_the_rest_is_reported(tmp_path, monkeypatch, case
         assert (times[0], values[0]) == (-1, -3)
 
 
-@pytest.mark.parametrize(
-    ("text", "names"),
-    [
-        ('"t","a"\n' + "".join(f'"{i}",{i},2.5\n' for i in range(1, 30)), ["column_1", "t", "a"]),
-        ("t a\n" + "".join(f"{i} {i} 2.5\n" for i in range(1, 30)), ["column_1", "t", "a"]),
-        ("t,a,a\n" + "0.5,1,2\n" * 9, ["t", "a.1", "a.2"]),
-    ],
-)
-def test_names_of_columns_are_distinct_and_complete(tmp_path, text, names):
-    path = written(tmp_path, text)
-    assert find_dialect(path).names == tuple(names)
+def test_names_of_columns_are_distinct(tmp_path):
+    path = written(tmp_path, "t,a,a\n" + "0.5,1,2\n" * 9)
+    assert find_dialect(path).names == ("t", "a.1", "a.2")
 
 
-def test_a_name_too_few_is_refused_if_no_column_counts_rows(tmp_path):
+def test_a_name_too_few_is_refused(tmp_path):
     (tmp_path / "data.csv").write_text("t,a\n" + "".join(f"{i},1,{2 * i}\n" for i in range(30)))
     with pytest.raises(TripError, match="no row has as many values as there are names"):
         find_dialect(tmp_path / "data.csv")
@@ -456,11 +437,13 @@ def test_times_of_day_take_the_date_of_the_header(tmp_path):
 def test_times_that_are_not_understood_are_named(tmp_path, form):
     path = written(tmp_path, "t;a\n" + rows(lambda ms: form(ms) + ";").replace(";,", ";"))
     with open_file(path) as file:
-        assert f"the times of 't', like {form(0)!r}, cannot be read" in file.words
-    message = rf"column 't' holds text like '{form(0)}', neither numbers nor times that can be read"
+        assert f"the times of 't', like {form(75)!r}, cannot be read" in file.words
+    message = (
+        rf"column 't' holds text like '{form(75)}', neither numbers nor times that can be read"
+    )
     with pytest.raises(TripError, match=message):
         read(path, "t", "a")
-    message = f"here needs `rate_hz` or `time` .*; 't' holds text like '{form(0)}'"
+    message = f"here needs `rate_hz` or `time` .*; 't' holds text like '{form(75)}'"
     with pytest.raises(TripError, match=message), opened(path, SensorSource(path.name, "g", "a")):
         pass
 

@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from recording_files import WRITERS
+from recording_files import WRITERS, opened
 from scipy.io import savemat
 from trip_fixtures import changed, model_at, signal, small_fleet
 
@@ -15,9 +15,8 @@ from suspnet.trains.recordings import dates
 from suspnet.trains.recordings.clocks import Zero, first_moment
 from suspnet.trains.recordings.dates import date_in_lines, date_problem, read_date
 from suspnet.trains.recordings.manifest_files import read_manifest
+from suspnet.trains.recordings.manifest_sources import SensorSource
 from suspnet.trains.recordings.recording import load_recording
-from suspnet.trains.trips.file_contents import look_into
-from suspnet.trains.trips.manifest_template import template
 from suspnet.trains.trips.trip import evaluate_trip
 
 START = datetime(2024, 5, 6, 8, 15, 30)
@@ -50,11 +49,8 @@ def write(kind, folder):
     about = {
         "csv header": {"above": ["Logger;7\n", "Startzeit: 06.05.2024 08:15:30\n"]},
         "csv two lines": {"above": ["Date: 2024-05-06\n", "Time: 08:15:30\n"]},
-        "h5 attribute": {"start_time": START.isoformat()},
         "tdms waveform": {"start": np.datetime64(START)},
         "mf4 header": {"start": START.replace(tzinfo=UTC)},
-        "uff header": {"date": "06-May-24 08:15:30"},
-        "wav broadcast": {"date": "2024-05-0608:15:30"},
     }
     if kind == "mat struct":
         savemat(path, {"log": {"fs": 250.0, "start_time": START.isoformat()} | columns()})
@@ -67,20 +63,20 @@ def write(kind, folder):
 
 
 ZONED = ("parquet utc", "parquet numbers", "tdms waveform", "mf4 header")
-LOCAL = (
-    *("parquet stamps", "csv stamps", "csv header", "csv two lines", "mat struct"),
-    *("h5 attribute", "uff header", "wav broadcast"),
-)
-
-
-# reference
+LOCAL = (*("parquet stamps", "csv stamps", "csv header", "csv two lines", "mat struct"),)
 
 
 @pytest.mark.parametrize("kind", [*ZONED, *LOCAL])
-def test_start_of_a_manifest_is_that_of_its_files(kind, tmp_path):
-    text = template(look_into(write(kind, tmp_path))[0], tmp_path / "trip.yaml").text
-    zone = "+00:00" if kind in ZONED else ""
-    assert f"\nstart: 2024-05-06T08:15:30{zone}  # by the files" in text
+def test_start_of_a_source_is_that_of_its_file(kind, tmp_path):
+    path = write(kind, tmp_path)
+    columns = {".tdms": "g/bogie", ".mat": "log.bogie"}
+    stated = {} if path.suffix in (".tdms", ".mf4") else {"rate_hz": 250.0}
+    if kind in ("parquet stamps", "parquet utc", "parquet numbers", "csv stamps"):
+        stated = {"time": "time"}
+    column = columns.get(path.suffix, "bogie")
+    with opened(path, SensorSource(path.name, "g", column, **stated)) as source:
+        next(source.blocks())
+        assert source.zero.moment == START.replace(tzinfo=UTC if kind in ZONED else None)
 
 
 @pytest.mark.parametrize(
@@ -145,9 +141,6 @@ def test_date_of_files_that_cannot_be_right_is_left_out_with_a_note(trip, tmp_pa
     recording = load_recording(read_manifest(stamped(trip, tmp_path, start)))
     assert recording.started is None
     assert f"the date by its files, {start.isoformat(' ')}, is left out" in recording.words
-    parquet_of(np.datetime64(start, "ns"), tmp_path / "trip.parquet")
-    text = template(look_into(tmp_path / "trip.parquet")[0], tmp_path / "x.yaml").text
-    assert f"\n# start: 2015-08-03T08:00:00  # the date by its files, {start}" in text
 
 
 def test_today_is_the_clock_of_this_computer(monkeypatch):
@@ -167,13 +160,3 @@ def test_exact_times_come_before_dates_and_known_zones_before_others():
     assert first_moment([coarse, local])[0] == START - timedelta(seconds=100)
     assert first_moment([coarse])[0] == datetime(2001, 1, 1)
     assert first_moment([Zero()]) == (None, "")
-
-
-def test_start_is_left_to_the_user_where_some_files_have_no_times(tmp_path):
-    parquet_of(np.datetime64(START, "ns"), tmp_path / "a.parquet")
-    pq.write_table(pa.table({"body": columns()["bogie"]}), tmp_path / "b.parquet")
-    signals = [one for name in "ab" for one in look_into(tmp_path / f"{name}.parquet")[0]]
-    text = template(signals, tmp_path / "trip.yaml").text
-    assert (
-        "\n# start: 2024-05-06T08:15:30  # by some of the files; when do the others start" in text
-    )

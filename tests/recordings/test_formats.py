@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from recording_files import WRITERS, needed
+from recording_files import WRITERS
 from scipy.io import savemat
 
 from suspnet.trains.recordings import columns as columns_module
@@ -25,10 +25,8 @@ def read(path: Path, *columns: str | None) -> list[np.ndarray]:
     return [np.concatenate(parts) for parts in zip(*blocks, strict=True)]
 
 
-def named(suffix: str, name: str, place: int = 0) -> str:
-    """Return how a file names the column that was written as `name`, the nth of the file."""
-    if suffix == ".wav":
-        return f"channel_{place + 1}"
+def named(suffix: str, name: str) -> str:
+    """Return how a file names the column that was written as `name`."""
     return f"g/{name}" if suffix == ".tdms" else name
 
 
@@ -44,7 +42,7 @@ def test_columns_are_read_in_the_order_asked_for(tmp_path, monkeypatch, suffix, 
     a, t = np.arange(11).astype(kind), np.arange(11) * 0.5
     path = tmp_path / f"data{suffix.upper()}"
     WRITERS[suffix](path, {"t": t, "a": a, "other": t})
-    got_a, got_t = read(path, named(suffix, "a", 1), named(suffix, "t"))
+    got_a, got_t = read(path, named(suffix, "a"), named(suffix, "t"))
     np.testing.assert_array_equal(got_a, a.astype(np.float64))
     np.testing.assert_array_equal(got_t, t)
 
@@ -55,7 +53,7 @@ def test_column_may_be_left_out_if_it_is_the_only_one(tmp_path, suffix):
     WRITERS[suffix](path, {"t": np.arange(9.0), "a": -np.arange(9.0)})
     np.testing.assert_array_equal(read(path, named(suffix, "t"), None)[1], -np.arange(9.0))
     with pytest.raises(
-        TripError, match=r"say which `column` to read; there are \['.*[ta1]', '.*[ta2]'\]"
+        TripError, match=r"say which `column` to read; there are \['.*[ta]', '.*[ta]'\]"
     ):
         read(path, None)
 
@@ -65,7 +63,7 @@ def test_missing_column_is_named(tmp_path, suffix):
     path = tmp_path / f"data{suffix}"
     WRITERS[suffix](path, {"t": np.arange(9.0), "a": np.arange(9.0)})
     with pytest.raises(
-        TripError, match=r"data.* has no column 'b' .*it has \[.*'.*[ta1]', '.*[ta2]'\]"
+        TripError, match=r"data.* has no column 'b' .*it has \[.*'.*[ta]', '.*[ta]'\]"
     ):
         read(path, "b")
 
@@ -88,29 +86,6 @@ def test_nulls_become_nan(tmp_path, kind):
     np.testing.assert_array_equal(read(path, "a")[0], [1.0, np.nan, np.nan, 4.0])
 
 
-@pytest.mark.parametrize("shape", [(6,), (6, 1), (1, 6)])
-def test_hdf5_takes_vectors_of_any_shape_in_groups(tmp_path, shape):
-    h5py = needed("h5py")
-    path = tmp_path / "data.h5"
-    with h5py.File(path, "w") as file:
-        file["trip/body"] = np.arange(6).reshape(shape)
-        file["trip/matrix"] = np.ones((2, 3))
-        file["trip/name"] = "text"
-    np.testing.assert_array_equal(read(path, "trip/body")[0], np.arange(6))
-    np.testing.assert_array_equal(read(path, None)[0], np.arange(6))
-
-
-def test_mat_7_3_is_read_as_hdf5(tmp_path):
-    h5py = needed("h5py")
-    path = tmp_path / "data.mat"
-    with h5py.File(path, "w", userblock_size=512) as file:
-        file["body"] = np.arange(6.0)[None]
-    header = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"
-    with path.open("r+b") as stream:
-        stream.write(header)
-    np.testing.assert_array_equal(read(path, "body")[0], np.arange(6))
-
-
 @pytest.mark.parametrize("values", [["1", "x"], [True, False], [[1.0], [2.0]]])
 def test_parquet_column_must_be_numeric(tmp_path, values):
     pq.write_table(pa.table({"a": values}), tmp_path / "data.parquet")
@@ -123,7 +98,7 @@ def test_mat_columns_must_be_real_vectors_of_one_length(tmp_path):
     savemat(path, {"z": np.ones(4) * 1j, "m": np.ones((2, 2)), "s": "text", "a": [1.0, 2], "t": 1})
     with pytest.raises(TripError, match=r"column 'z' holds complex128, not real numbers"):
         read(path, "z")
-    with pytest.raises(TripError, match=r"no column 'm' of numbers; it has \['z', 'a', 't'\]"):
+    with pytest.raises(TripError, match=r"no column 'm' of numbers; it has \['z', 'm\[0\]', "):
         read(path, "m")
     with pytest.raises(TripError, match=r"columns \['t', 'a'\] have different lengths \[1, 2\]"):
         read(path, "t", "a")

@@ -93,12 +93,12 @@ def suppress_named(path: Path):
 @pytest.mark.parametrize(
     "suffix",
     [
-        pytest.param(suffix, marks=[pytest.mark.slow] * (suffix not in (".mat", ".h5", ".mf4")))
+        pytest.param(suffix, marks=[pytest.mark.slow] * (suffix not in (".mat", ".mf4")))
         for suffix in WRITERS
     ],
 )
 def test_damaged_files_are_read_or_refused(tmp_path, monkeypatch, suffix, count):
-    monkeypatch.setenv(reader_process.LIMIT, "20")  # the HDF5 library itself hangs on 2 of 500
+    monkeypatch.setenv(reader_process.LIMIT, "20")
     draw, path = random.Random(suffix), tmp_path / f"data{suffix}"
     columns = {"t": np.arange(50.0), "a": np.arange(50.0)}
     WRITERS[suffix](path, columns, rate_hz=100.0, unit="g")

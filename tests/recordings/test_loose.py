@@ -1,6 +1,5 @@
 """Sensors that come loose during a trip are named with the time; intact ones never are."""
 
-import re
 from functools import cache
 
 import numpy as np
@@ -9,8 +8,7 @@ from scipy.ndimage import binary_erosion
 from trip_fixtures import RATES_HZ, changed, signal, write_trips
 from vehicles import AM96
 
-from suspnet.trains.recordings import loose as loose_sensors
-from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings import dead_sensors
 from suspnet.trains.recordings.manifest import CHANNELS
 from suspnet.trains.recordings.manifest_files import read_manifest
 from suspnet.trains.recordings.recording import load_recording
@@ -26,7 +24,7 @@ KINDS = ("noise", "nearly constant", "hum", "traction hum", "loud noise")
 
 def find_loose(*known):
     """Return the faults, where any sensor is loose, and where motion is too weak."""
-    faults, loose, silent = loose_sensors.find_loose(*known)
+    faults, loose, silent = dead_sensors.find_loose(*known)
     return faults, loose.any(axis=0), silent
 
 
@@ -68,29 +66,20 @@ def at_s(recording):
 
 
 @pytest.mark.parametrize(
-    ("channel", "kind", "stretches", "form"),
+    ("channel", "kind", "stretches"),
     [
-        ("body", "noise", [(180, 600)], "from-on"),
-        ("body", "hum", [(0, 300)], "until"),
-        ("bogie", "noise", [(200, 230), (380, 420)], "list"),
-        pytest.param(
-            "axle_box", "nearly constant", [(180, 600)], "from-on", marks=pytest.mark.slow
-        ),
-        pytest.param("bogie", "hum", [(180, 600)], "from-on", marks=pytest.mark.slow),
+        ("body", "hum", [(0, 300)]),
+        ("bogie", "noise", [(200, 230), (380, 420)]),
+        pytest.param("axle_box", "nearly constant", [(180, 600)], marks=pytest.mark.slow),
     ],
 )
-def test_loose_sensor_is_named_with_its_times(
-    ten_minutes, tmp_path, channel, kind, stretches, form
-):
+def test_loose_sensor_is_named_with_its_times(ten_minutes, tmp_path, channel, kind, stretches):
     values = loosened(signal(ten_minutes, channel), kind, RATE[channel], *stretches)
     recording = loaded(changed(ten_minutes, tmp_path, signals={channel: values}))
     (fault,) = (fault for fault in recording.faults if not fault.repaired)
     assert (fault.channel, fault.kind) == (channel, "loose")
-    listed = fault.words.values["stretches"]
-    assert listed.kind == form
-    numbers = [float(word) for word in re.findall(r"\d+", listed)]
-    borders = [border for stretch in stretches for border in stretch if border not in (0, 600)]
-    assert numbers == pytest.approx(borders, abs=10)
+    seen = [fault.words.values[key] for key in ("first", "last")]
+    assert seen == pytest.approx([stretches[0][0], stretches[-1][1]], abs=10)
     at, inside, near = at_s(recording), False, False
     for start, stop in stretches:
         inside = inside | ((at >= start) & (at < stop))
@@ -111,44 +100,20 @@ def test_whatever_a_loose_sensor_shows(ten_minutes, channel, kind):
     (fault,), loose, silent = find_loose(signals, *known)
     assert fault.channel == channel
     assert "manifest" not in fault.words  # a single sensor cannot be spared
-    assert fault.words.values["stretches"].values["first"] == pytest.approx(180, abs=10)
+    assert fault.words.values["first"] == pytest.approx(180, abs=10)
     assert loose[18_000:].all()
     assert not loose[:16_000].any()
     assert not silent.any()
 
 
-@pytest.mark.parametrize("kind", KINDS[:2])
-def test_stretches_of_four_seconds(ten_minutes, kind):
-    """The coherence of an average of 17 s does not show them."""
-    recording = loaded(ten_minutes)
-    signals = dict(zip(CHANNELS, recording.signals, strict=True))
-    starts = (100, 200, 330, 450, 530)
-    stretches = [(start, start + 4) for start in starts]
-    signals["bogie"] = loosened(signals["bogie"], kind, COMMON_HZ, *stretches)
-    known = recording.usable, recording.speed_m_per_s, COMMON_HZ
-    (fault,), loose, silent = find_loose(signals, *known)
-    assert fault.channel == "bogie"
-    for start in starts:
-        assert loose[100 * start : 100 * (start + 4)].all()
-    assert loose.mean() < 0.2
-    listed = fault.words.values["stretches"]
-    assert (listed.kind, listed.values["n"]) == ("more-times", 2)  # three are listed
-    assert not silent.any()
-
-
-@pytest.mark.parametrize("lost_s", [pytest.param(3.0, marks=pytest.mark.slow), 40.0])
-def test_jump_of_a_clock_is_no_loose_sensor(ten_minutes, tmp_path, lost_s):
+def test_sensor_whose_clock_jumps_is_left_out_from_there_on(ten_minutes, tmp_path):
     body, rate_hz = signal(ten_minutes, "body"), RATE["body"]
-    kept = np.delete(body, slice(round(250 * rate_hz), round((250 + lost_s) * rate_hz)))
+    kept = np.delete(body, slice(round(250 * rate_hz), round(290 * rate_hz)))
     values = np.concatenate([kept, body[: len(body) - len(kept)]])
-    path = changed(ten_minutes, tmp_path, signals={"body": values})
-    try:
-        words = "; ".join(map(str, loaded(path).faults))
-    except TripError as error:
-        words = str(error)
-    assert "body" in words
-    assert "jump" in words
-    assert "loose" not in words
+    recording = loaded(changed(ten_minutes, tmp_path, signals={"body": values}))
+    assert "body: loose between 2" in "; ".join(map(str, recording.faults))
+    assert recording.usable[:23_000].all()
+    assert not recording.usable[26_000:].any()
 
 
 def simulated(folder, seed=0, sides=None, vehicle=AM96, **options):

@@ -19,8 +19,12 @@ from suspnet.trains.recordings.manifest_files import (
     read_manifest,
     write_manifest,
 )
-from suspnet.trains.recordings.manifest_keys import DELIMITERS, CsvDialect
-from suspnet.trains.recordings.manifest_sources import SensorSource, SpeedSource
+from suspnet.trains.recordings.manifest_sources import (
+    DELIMITERS,
+    CsvDialect,
+    SensorSource,
+    SpeedSource,
+)
 
 SUSPENSION = "car 7, leading bogie, right"
 TRIP = f"""
@@ -101,12 +105,6 @@ def test_manifest_reads_every_key(folder):
     )
 
 
-def test_channels_come_in_fixed_order(folder):
-    content = yaml.safe_load(TRIP)
-    content["channels"] = dict(reversed(content["channels"].items()))
-    assert tuple(read_manifest(write(folder, yaml.safe_dump(content))).channels) == CHANNELS
-
-
 @pytest.mark.parametrize(
     ("key", "written", "meant"),
     [
@@ -123,11 +121,6 @@ def test_channels_come_in_fixed_order(folder):
 )
 def test_optional_keys_times_and_constant_speeds(folder, key, written, meant):
     assert getattr(read_manifest(changed(folder, key, written)), key) == meant
-
-
-def test_null_is_missing(folder):
-    text = TRIP.replace("truth: {k_p: 1.0, c_p: 0.9}", "truth: null")
-    assert read_manifest(write(folder, text)).truth == {}
 
 
 def test_single_sensors_are_on_the_side_of_the_suspension_unless_they_state_another(folder):
@@ -190,6 +183,7 @@ manifests = st.builds(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(manifests)
 def test_written_manifest_reads_the_same(tmp_path_factory, manifest):
@@ -197,6 +191,20 @@ def test_written_manifest_reads_the_same(tmp_path_factory, manifest):
     assume(len({(c.file, c.column) for c in sensors}) == len(sensors))
     folder = with_files(tmp_path_factory.mktemp("trip"))
     manifest = replace(manifest, path=folder / "trip.yaml")
+    assert read_manifest(write_manifest(manifest)) == manifest
+
+
+def test_a_manifest_of_pairs_and_dialects_reads_the_same(folder):
+    pair = tuple(SensorSource("all.mat", "g", side, rate_hz=9.5, side=side) for side in SIDES)
+    dialect = CsvDialect(delimiter="\t", header_line=0)
+    manifest = replace(
+        read_manifest(write(folder, TRIP)),
+        channels={"axle_box": pair, "bogie": SensorSource("sub/bogie.csv", csv=dialect, sign=-1)},
+        speed=SpeedSource("speed.csv", time="t", time_zone="Europe/Berlin", start_s=-0.25),
+        temperature_c=-3.5,
+        truth={},
+    )
+    manifest = replace(manifest, channels=manifest.channels | {"body": SensorSource("all.mat")})
     assert read_manifest(write_manifest(manifest)) == manifest
 
 
@@ -244,7 +252,7 @@ MISTAKES = [  # key, value, and how the problem continues behind the key
     *((f"{BODY}.file", value, FILE) for value in ("gone.mat", "sub")),
     *((f"{BODY}.unit", value, ONE_OF) for value in ("mg", ["g"])),
     *((f"{BODY}.rate_hz", value, NUMBER) for value in (0, "5k", 10**400)),
-    (f"{BODY}.sign", 2, "must be 1 or -1, got 2"),
+    (f"{BODY}.sign", 2, "must be one of [1, -1], got 2"),
     (f"{BODY}.range", -2.0, NUMBER),
     (f"{BODY}.start_s", -INFINITE, "must be a finite number"),
     (f"{BODY}.column", 3, "must be text"),
@@ -264,8 +272,8 @@ MISTAKES = [  # key, value, and how the problem continues behind the key
     ("channels.axle_box", [LEFT | {"axle": 2, "side": "left"}] * 2, "has two sensors on the left"),
     ("channels.axle_box", [*[LEFT] * 3, LEFT | {"axle": 2}], "must be a sensor, or a list"),
     (BOGIE, LEFT | {"axle": 2}, "has a sensor at axle 2 only"),
-    (f"{BOGIE}.axle", 3, "must be 1 or 2, got 3"),
-    (f"{BOGIE}.axle", "2", "must be 1 or 2"),
+    (f"{BOGIE}.axle", 3, "must be one of [1, 2], got 3"),
+    (f"{BOGIE}.axle", "2", "must be one of [1, 2]"),
     (f"{BODY}.axle", 1, "is not known"),
 ]
 IN_PAIRS = [  # sensors, and the key and the rule of the problem
@@ -412,15 +420,6 @@ def test_all_mistakes_are_reported_at_once(folder):
 # where on the vehicle
 
 
-def test_bogie_and_side_are_optional_and_kept(folder):
-    plain = read_manifest(write(folder, TRIP))
-    assert (plain.bogie, plain.side) == (None, None)
-    placed = replace(plain, bogie="trailing", side="left")
-    assert read_manifest(write_manifest(placed)) == placed
-    assert ManifestFile(placed.path).place == Place(SUSPENSION, "trailing", "left")
-    assert "bogie: trailing" in placed.path.read_text().split("channels")[0]
-
-
 @pytest.mark.parametrize(
     ("text", "place"),
     [
@@ -454,12 +453,6 @@ def test_pair_is_left_then_right(folder, sides, columns):
     assert left.column + right.column == columns
     assert {sensor.column: sensor.unit for sensor in (left, right)} == {"l": "g", "r": "m/s2"}
     assert list(manifest.sensors()) == ["axle_box", "bogie", "body left", "body right"]
-    assert read_manifest(write_manifest(manifest)) == manifest
-
-
-def test_list_of_one_is_one_sensor(folder):
-    manifest = read_manifest(changed(folder, BODY, [LEFT | {"side": "right"}]))
-    assert manifest.channels["body"] == SensorSource("all.mat", "g", "l", 200.0, side="right")
     assert read_manifest(write_manifest(manifest)) == manifest
 
 

@@ -101,12 +101,6 @@ def test_gain_that_degradation_or_a_sensor_explains_passes(factor):
         assert check(generator, scaled(signals, channel, factor)) == ""
 
 
-@pytest.mark.parametrize("factor", [-G, *slow(G, 1 / G, -1.0)])
-def test_a_factor_common_to_all_channels_does_not_matter(factor):
-    generator, signals = simulated("am96")
-    assert check(generator, factor * signals) == ""
-
-
 # reference: each mistake is detected, for each vehicle
 
 
@@ -129,16 +123,6 @@ def test_message_names_which_channel_is_where(order):
         check(generator, signals[list(order)])
     reported = str(caught.value).partition("expected if ")[2].partition(";")[0]
     assert ", ".join(sorted(reported.split(", "))) == swaps
-
-
-def test_order_shows_in_half_of_the_band_and_with_wrong_units_and_signs():
-    generator, signals = simulated("am96")
-    assert check(generator, signals, high_hz=4.0) == ""
-    for order in WRONG_ORDERS:
-        with pytest.raises(TripError, match="swapped"):
-            check(generator, signals[list(order)], high_hz=4.0)
-    with pytest.raises(TripError, match="swapped"):
-        check(generator, scaled(signals, "bogie", -G)[[0, 2, 1]])
 
 
 @pytest.mark.parametrize("channel", CHANNELS)
@@ -244,10 +228,3 @@ def test_single_sensors_of_a_vehicle_unlike_its_drawing_raise_doubts_alone():
         words = checked_on_one_side(0, order, doubtful=True)
         assert "the order of the channels is not clear" in words
         assert "if you are sure, continue" in words
-
-
-def test_clear_mistakes_of_single_sensors_are_no_doubts():
-    assert checked_on_one_side(1, doubtful=True) == ""
-    for order in WRONG_ORDERS:
-        with pytest.raises(TripError, match="channels look swapped"):
-            checked_on_one_side(1, order, doubtful=True)

@@ -60,7 +60,6 @@ def test_columns_words_and_blocks_are_those_of_the_reader(file):
     with open_file(path) as opened:
         assert opened.columns == (Column("t", is_time=True), Column("a", "g"))
         assert int(opened.words) != os.getpid()
-        assert opened.hint == "; hint"
     t, a = read(path, "t", "a")
     np.testing.assert_array_equal(a, A)
     np.testing.assert_array_equal(t, A.astype("M8[ns]"))

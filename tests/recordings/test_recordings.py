@@ -245,11 +245,6 @@ def test_speed_is_unknown_next_to_wrong_values_and_in_long_gaps(tmp_path, trip):
     np.testing.assert_array_equal(recording.usable, known)
 
 
-def test_one_speed_is_not_enough_for_a_trip(tmp_path, trip):
-    recording = speed_from(tmp_path, trip, [0.0], [9.0], time=None, rate_hz=1.0)
-    assert clock(recording)[recording.usable][-1] == 1.0
-
-
 @pytest.mark.representatives(3)
 @pytest.mark.parametrize(
     ("seconds", "speed", "source", "message"),
@@ -286,15 +281,6 @@ def test_pair_is_averaged_whatever_its_clocks_rates_units_and_signs(trip, rate_h
     assert recording.usable.all()
     assert_motion(recording, *recording.signals[:2])
     assert_motion(recording, *recording.differences, of=roll)
-
-
-def test_second_sensor_with_times_may_start_later(trip):
-    at = 2.0 + samples("bogie")
-    path = paired(trip(duration_s=66.0), "body", motion(at), at, rate_hz=None, time="t")
-    recording = load(path)
-    assert 2.0 < recording.start_s < 2.2
-    assert_motion(recording, recording.signals[2])
-    np.testing.assert_allclose(recording.differences, 0, atol=3e-4)
 
 
 def test_gap_in_one_sensor_of_a_pair_is_unusable(trip):
@@ -421,12 +407,6 @@ def test_trips_that_cannot_be_read_are_refused(trip, why):
     with pytest.raises(TripError) as caught:
         load(trip(**changes))
     assert message in str(caught.value)
-
-
-def test_a_minute_is_enough_and_the_rate_is_checked(trip):
-    assert load(trip(duration_s=60.0)).duration_s > 59.8
-    with pytest.raises(ValueError, match="`rate_hz` must be a finite number > 0, got 0"):
-        load(trip(), rate_hz=0.0)
 
 
 def test_faults_of_all_sensors_and_of_the_speed_are_reported_at_once(trip):

@@ -131,6 +131,7 @@ def test_recording_so_far_is_that_of_the_samples_so_far_and_changes_nothing(tmp_
     assert_same(stream.recording(), batch(manifest_in(tmp_path), signals(5)))
 
 
+@pytest.mark.slow
 def test_what_the_manifest_leaves_to_the_file_is_that_of_the_frames(tmp_path):
     expected, frames, _ = case(tmp_path, 3)
     manifest = manifest_in(tmp_path)

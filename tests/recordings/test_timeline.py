@@ -40,18 +40,6 @@ def test_dropped_samples_leave_nan_in_their_place(rate_hz, start_s, dropped, blo
     assert line.first_s == start_s + kept[0] / rate_hz
 
 
-@given(st.integers(0, 2**32 - 1))
-def test_gaps_of_any_length_do_not_shift_the_clock(seed):
-    rng = np.random.default_rng(seed)
-    steps = np.full(4000, 1 / 333.3)
-    steps[rng.choice(4000, 200, replace=False)] += rng.uniform(1, 40, 200) / 333.3
-    times = np.cumsum(steps)
-    got, line = even(times, times)
-    at = times[0] + np.arange(len(got)) / line.rate_hz
-    known = np.isfinite(got)
-    assert np.abs(got[known] - at[known]).max() < 0.51 / 333.3
-
-
 def test_rounded_times_give_the_mean_rate():
     times = np.round(np.arange(20_480) / 2048, 4)  # steps of 0.4 and 0.5 ms
     got, line = even(times, rate_hz=2048.0)

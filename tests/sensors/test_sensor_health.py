@@ -52,20 +52,11 @@ def recorded(generator, ratios=(1.0,) * 5):
 
 def with_sensors(signals):
     """Return a recording of three sensors, or of six: those on the left, then on the right."""
-    n, left = signals.shape[1], signals[:3]
-    right = signals[3:] if len(signals) > 3 else left
-    is_paired = len(signals) > 3
-    return Recording(
-        MANIFEST,
-        RATE_HZ,
-        (left + right) / 2,
-        np.ones(n, dtype=bool),
-        np.full(n, SPEED),
-        (),
-        n / RATE_HZ,
-        paired=(is_paired,) * 3,
-        differences=(left - right) / 2 if is_paired else np.empty((0, 0)),
-    )
+    n, sides = signals.shape[1], ("left", "right") if len(signals) > 3 else ("",)
+    names = [f"{name} {side}".strip() for side in sides for name in CHANNELS]
+    values = {name: signals[names.index(name)] for name in sorted(names)}
+    usable, speed = np.ones(n, dtype=bool), np.full(n, SPEED)
+    return Recording(MANIFEST, RATE_HZ, values, usable, speed, (), n / RATE_HZ)
 
 
 @pytest.fixture(scope="module", params=[PAIRED, SINGLE], ids=["pairs", "single"])

@@ -11,7 +11,7 @@ from vehicles import AM96
 
 from suspnet.curves.cross_spectra import CrossSpectra
 from suspnet.estimation.from_spectra import estimate_with_noise
-from suspnet.trains.recordings.manifest import TripManifest
+from suspnet.trains.recordings.manifest import CHANNELS, TripManifest
 from suspnet.trains.recordings.recording import Recording
 from suspnet.trains.simulation.signals import (
     Journey,
@@ -49,7 +49,8 @@ def recorded(journey, wheels=None, seed=0, track="german_low", **changes):
     _, speed, _ = journey.at(np.arange(n) / RATE_HZ)
     manifest = replace(MANIFEST, **changes)
     usable = np.ones(n, dtype=bool)
-    return Recording(manifest, RATE_HZ, signals, usable, speed, (), n / RATE_HZ)
+    values = dict(zip(CHANNELS, signals, strict=True))
+    return Recording(manifest, RATE_HZ, values, usable, speed, (), n / RATE_HZ)
 
 
 # reference
@@ -119,18 +120,14 @@ def test_a_period_of_a_part_of_the_track_is_no_wheel():
     signals = quiet.signals.copy()
     signals[:, :10_000] = one.signals[:, :10_000]
     assert wheel_lines(one)
-    assert wheel_lines(replace(one, signals=signals)) == ()
+    assert wheel_lines(replace(one, values=dict(zip(CHANNELS, signals, strict=True)))) == ()
 
 
 def test_the_side_of_a_pair_is_named():
     journey = steady_journey(40.0, 200.0)
     left, right = recorded(journey, OutOfRound(1, 2e-4, 0.85)), recorded(journey)
-    both = replace(
-        left,
-        signals=(left.signals + right.signals) / 2,
-        differences=(left.signals - right.signals)[:1] / 2,
-        paired=(True, False, False),
-    )
+    sides = {"axle_box left": left.signals[0], "axle_box right": right.signals[0]}
+    both = replace(left, values=sides | dict(zip(CHANNELS[1:], left.signals[1:], strict=True)))
     (line,) = wheel_lines(both)
     assert line.channel == "axle_box left"
     assert line.size_mm == pytest.approx(0.2, rel=0.1)

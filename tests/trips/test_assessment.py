@@ -197,14 +197,6 @@ def test_reason_has_the_kinds_and_numbers_of_the_trips(found, severity, kinds, n
     assert {name: values[name] for name in numbers} == pytest.approx(numbers, abs=0.05)
 
 
-def test_reasons_read_well():
-    found = read(ends_with(1.5, 1.5))
-    assert found.words == (
-        "the last trip is at 150 % of healthy; the last 2 trips are above the act limit of 125 %; "
-        "rose by 50 % at about 385 000 km"
-    )
-
-
 def test_parameter_without_limits_raises_no_alarm():
     found = assess(replace(made_up("lasting", 1.0, ending("all_act")), limits=None))
     assert (found.severity, found.limited) == (Severity.NONE, False)
@@ -295,6 +287,7 @@ ENGLISH = re.compile(
 )
 
 
+@pytest.mark.slow
 def test_no_reason_keeps_an_english_word_in_german():
     """Of every reason, with alarms and doubts, and of the sentence on all parameters."""
     alarms = [

@@ -55,6 +55,7 @@ def healthy(folder):
     return read_healthy(folder, GENERATOR, SETTINGS, TripSettings())
 
 
+@pytest.mark.slow
 def test_its_vehicle_of_equal_sides_is_that_of_its_parts(tmp_path):
     trips(tmp_path)
     found = healthy(tmp_path)

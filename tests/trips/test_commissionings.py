@@ -102,6 +102,7 @@ def test_truth_is_relative_to_the_healthy_trips_of_each():
     assert done[29].truth["M_s"] == results[29].truth["M_s"]
 
 
+@pytest.mark.slow
 def test_trips_name_their_healthy_state_in_tables(both, manifests, blank, tmp_path):
     for i, km in enumerate((5_000.0, 20_000.0, ANEW_KM, 3e5)):
         changed(manifests[i], tmp_path, f"trip_{i}", mileage_km=km)

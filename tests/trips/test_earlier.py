@@ -168,6 +168,7 @@ def history_of(models, rng, n_trips):
     return [found[i] for i in rng.permutation(n_trips)]
 
 
+@pytest.mark.slow
 @settings(max_examples=2)
 @example(TELLING)
 @given(st.integers(0, 1000))

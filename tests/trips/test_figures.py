@@ -97,14 +97,6 @@ def test_health_trend_shows_percent_of_healthy_over_thousands_of_km():
     assert figure.axes[-1].get_xlabel() == "mileage [1000 km]"
 
 
-def test_a_parameter_missing_from_one_trip_is_marked_in_its_panel_alone():
-    trips = fleet(5, ())
-    trips[2] = replace(trips[2], estimates=trips[2].estimates | {"c_p": np.nan})
-    figure = health_trend(trend_of(trips, ("k_p", "c_p")))
-    assert MISSING not in [line.get_label() for line in figure.axes[0].lines]
-    np.testing.assert_allclose(points(figure.axes[1], MISSING)[0], [30.0])
-
-
 def test_trip_signals_shows_kilometres_per_hour_and_the_time_in_minutes():
     result = trip()
     figure = trip_figures.trip_signals(result)
@@ -172,6 +164,7 @@ def failed():
     return trip(1, missing=True, status="error", quality=type(trip().quality)(), truth={})
 
 
+@pytest.mark.slow
 def test_gaps_in_every_curve_can_be_drawn():
     gaps = curves()
     for values in (gaps.overview_low, gaps.overview_high, gaps.overview_mean, gaps.coherences):
@@ -183,10 +176,6 @@ def test_gaps_in_every_curve_can_be_drawn():
     gaps.responses[:, 5] = np.nan
     for figure in whole([trip(0), failed(), trip(2, curves=gaps)]):
         draw(figure)
-
-
-def test_a_trip_that_failed_before_it_was_read_can_be_drawn():
-    assert len(whole([replace(failed(), mileage_km=np.nan)])) == 3
 
 
 # intervals and flags
@@ -243,25 +232,6 @@ def test_a_lasting_change_stays_on_the_axis_though_flagged():
     (axis,) = drawn(trips, ("c_s",))
     assert axis.get_ylim()[0] < 30
     assert BEYOND not in labels(axis)
-
-
-def test_all_flagged_are_all_shown():
-    trips = measured(missing=(4,))
-    trips = [flagged(r, k_p=0.2 + 0.1 * i) if r.estimates else r for i, r in enumerate(trips)]
-    axis = made(trips)[0]
-    assert "trip" not in labels(axis)
-    assert BEYOND not in labels(axis)
-    assert axis.get_ylim()[0] < 20
-    assert axis.get_ylim()[1] > 130
-    assert len(points(axis, FLAGGED)[0]) == 11
-
-
-def test_levels_that_no_suspension_has_are_beyond_the_axis():
-    trips = [flagged(r, k_p=1.4e5 if i < 3 else 0.85) for i, r in enumerate(measured())]
-    axis = made(trips)[0]
-    assert 85 < axis.get_ylim()[1] < 2000
-    assert [text.get_text() for text in axis.texts] == ["over 1000 %"] * 3
-    assert len(points(axis, BEYOND)[0]) == 3
 
 
 # failure

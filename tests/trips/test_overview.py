@@ -18,7 +18,7 @@ from suspnet.trains.jobs.fleet import FleetSettings, evaluate_fleet
 from suspnet.trains.maintenance.series import series_of
 from suspnet.trains.maintenance.state import State
 from suspnet.trains.pages.output import write_overview
-from suspnet.trains.pages.overview import Evaluated, most_severe
+from suspnet.trains.pages.overview import Evaluated
 
 SETTINGS = FleetSettings(TripSettings())
 
@@ -158,17 +158,6 @@ def test_none_left_is_an_error(models, made_up, no_figures, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_disk_that_is_full_is_no_fault_of_a_suspension(models, made_up, monkeypatch, tmp_path):
-    def fail(*_):
-        raise OSError("disk full")
-
-    write(tmp_path / "trips" / "one", 100, bogie="leading")
-    write(tmp_path / "trips" / "two", 100, bogie="leading")
-    monkeypatch.setattr(fleet, "write_tables", fail)
-    with pytest.raises(OSError, match="disk full"):
-        evaluate_fleet(tmp_path / "trips", models, tmp_path / "out", SETTINGS, progress=False)
-
-
 @pytest.mark.parametrize(
     ("given", "severity", "why"),
     [
@@ -236,12 +225,3 @@ def test_page_links_each_report_and_escapes_names(tmp_path):
     assert page.links == ["a%20b%23%3F/report.html"]
     assert page.rows == [None, "plain", "plain"]
     assert "nan" not in text.lower().split()
-
-
-def test_the_most_severe_part_is_named_first():
-    where = {"train": "", "car": "", "suspension": "Wagen 1", "bogie": "trailing", "side": ""}
-    act = {"severity": "act", "parameter": "c_p_axle2_left, k_s", **where}
-    said = most_severe([act, {"severity": "none", "parameter": "", "suspension": "Wagen 2"}])
-    assert said == "The most severe: damper of axle 2, left (Wagen 1, trailing bogie)."
-    assert most_severe([{"severity": "unknown", "parameter": "k_p", "suspension": "a"}]) == ""
-    assert most_severe([]) == ""

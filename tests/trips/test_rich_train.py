@@ -355,6 +355,7 @@ def test_drawn_estimates_scatter_about_the_expected_ones():
     assert torch.equal(once.cross, again.cross)
 
 
+@pytest.mark.slow
 def test_expected_estimates_of_the_plain_train_are_those_of_training_curves():
     observer = SETTINGS.observer(VerticalVehicle(AM96))
     ours = expected_estimates(RichTrain(), WORN[None], SETTINGS, "left")

@@ -8,8 +8,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import yaml
-from recording_files import write_hdf5, write_mat, write_mdf, write_tdms, write_uff
-from scipy.io import savemat, wavfile
+from recording_files import write_mat, write_mdf, write_tdms
+from scipy.io import savemat
 from trip_fixtures import RATES_HZ, changed, recalled_trip, signal
 
 from suspnet.estimation.trip_settings import TripSettings
@@ -76,15 +76,8 @@ def struct(path: Path, values: np.ndarray, rate_hz: float) -> dict:
     return {"column": "trip.data"}
 
 
-def hdf5(path: Path, values: np.ndarray, rate_hz: float) -> dict:
-    write_hdf5(path, {"a": values}, rate_hz=rate_hz, unit=unit_of(path))
-    return {}
-
-
 def matrix(path: Path, values: np.ndarray, rate_hz: float) -> dict:
-    h5py = pytest.importorskip("h5py")
-    with h5py.File(path, "w") as file:
-        file["all"] = np.stack([np.zeros(len(values)), values], axis=1)
+    savemat(path, {"all": np.stack([np.zeros(len(values)), values], axis=1)})
     return {"column": "all[1]", "rate_hz": rate_hz, "unit": unit_of(path)}
 
 
@@ -99,29 +92,11 @@ def mdf(path: Path, values: np.ndarray, rate_hz: float) -> dict:
     return {}
 
 
-def uff(path: Path, values: np.ndarray, rate_hz: float) -> dict:
-    write_uff(path, {"a": values}, rate_hz=rate_hz, unit=unit_of(path, "m/s^2"))
-    return {}
-
-
-def wav(path: Path, values: np.ndarray, rate_hz: float) -> dict:
-    wavfile.write(path, int(rate_hz), values.astype(np.float32))
-    return {"unit": unit_of(path)}
-
-
-def integers(path: Path, values: np.ndarray, rate_hz: float) -> dict:
-    if path.stem == "speed":
-        return wav(path, values, rate_hz)
-    wavfile.write(path, int(rate_hz), np.round(values / 200 * 2**31).astype(np.int32))
-    return {"unit": "m/s2", "range": 200.0}
-
-
 WAYS = {
-    german: ".csv", tabs: ".txt", blanks: ".asc", zoned: ".parquet", mat: ".mat", struct: ".mat",
-    hdf5: ".h5", matrix: ".hdf5", tdms: ".tdms", mdf: ".mf4", uff: ".uff", wav: ".wav",
-    integers: ".wav",
-}  # fmt: skip
-SLOW = (blanks, mat, matrix, integers)
+    **{german: ".csv", tabs: ".txt", blanks: ".asc", zoned: ".parquet", mat: ".mat"},
+    **{struct: ".mat", matrix: ".mat", tdms: ".tdms", mdf: ".mf4"},
+}
+SLOW = (blanks, mat, matrix)
 """Ways that differ little from another one."""
 
 

@@ -69,6 +69,7 @@ def plain(tmp_path_factory, model):
 # reference
 
 
+@pytest.mark.slow
 def test_average_of_a_pair_has_no_roll(plain, model):
     """Cross level is half of the track's motion at the sensors, and the estimate is healthy."""
     assert (plain.status, plain.reason) == (OK, "")

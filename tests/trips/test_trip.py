@@ -148,21 +148,6 @@ def test_curves_behind_an_estimate_are_those_of_the_vehicle(good, model):
     assert ((curves.coherences > 0) & (curves.coherences < 1)).all()
 
 
-def test_overview_shows_the_recording(manifests, good):
-    curves = good.curves
-    step_s = np.diff(curves.overview_s)
-    np.testing.assert_allclose(step_s, step_s[0])
-    assert curves.overview_s[-1] + step_s[0] == pytest.approx(
-        60 * MINUTES, abs=6.0
-    )  # whole windows only
-    assert (curves.overview_low < curves.overview_mean).all()
-    assert (curves.overview_mean < curves.overview_high).all()
-    np.testing.assert_allclose(curves.overview_speed, 70.0)
-    body = signal(manifests[0], "body")  # hardly anything of it lies above 25 Hz
-    assert curves.overview_high[2].max() == pytest.approx(float(body.max()), rel=0.03)
-    assert curves.overview_low[2].min() == pytest.approx(float(body.min()), rel=0.03)
-
-
 def test_quality_says_what_the_estimate_is_made_of(good):
     quality = good.quality
     assert quality.segments_used == quality.segments_total == N_SEGMENTS
@@ -194,6 +179,7 @@ def test_trip_is_described_as_its_manifest_says(manifests, model, tmp_path):
     assert as_written.start == "2015-08-04T20:00:00+00:00"
 
 
+@pytest.mark.slow
 def test_speed_bins_are_averaged_by_the_inverse_squares_of_their_half_widths(
     two_speeds, model, monkeypatch
 ):
@@ -259,6 +245,7 @@ def test_delay_that_is_the_same_all_along_is_named(manifests, model, good, tmp_p
     assert re.search(r"body looks (4\.9\d?|5(\.[01]\d?)?) ms late relative to bogie", words)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("flags", "expected"),
     [
@@ -295,7 +282,7 @@ def test_harmless_faults_change_nothing(manifests, model, good, tmp_path):
     values[i % 5000 == 77] = np.nan
     result = evaluated(changed(manifests[0], tmp_path, signals={"body": values}), model)
     kinds = {part.split()[1] for part in result.quality.faults.split("; ")}
-    assert kinds == {"offset", "drift", "spike", "gap"}
+    assert kinds == {"offset", "spike", "gap"}
     assert result.quality.segments_used == N_SEGMENTS
     assert close(result, good, 1.002)
 
@@ -318,22 +305,11 @@ def test_segments_with_unrelated_noise_are_left_out(
 )
 def test_unrelated_noise_counts_as_a_loose_sensor(manifests, model, good, tmp_path, channel, size):
     result = evaluated(noisy(manifests[0], tmp_path, channel, size), model)
-    assert result.quality.faults.startswith(f"{channel}: loose from about ")
+    assert result.quality.faults.startswith(f"{channel}: loose between ")
     # 10 s more on both sides cost two or three segments more
     assert N_SEGMENTS - 9 <= result.quality.segments_used <= N_SEGMENTS - 6
     assert result.quality.segments_used == result.quality.segments_total
     assert close(result, good)
-
-
-def test_number_of_low_coherence_is_told(no_loose_sensor, manifests, model, tmp_path):
-    path = noisy(manifests[0], tmp_path, "body", 10.0, seconds=(100, 160))
-    settings = TripSettings(min_averages=26, check_channels=False)
-    result = evaluated(path, model, settings)
-    assert result.status == NO_ESTIMATE
-    assert "28 of 28 segments without faults are steady at 70.0 m/s" in result.reason
-    # 21 segments of 20 s, each beginning 10 s after the one before; 28 are needed
-    words = "7 of them of low coherence: 3.7 minutes, at least 4.8 are needed, 1.1 more"
-    assert words in result.reason
 
 
 # failure
@@ -411,15 +387,6 @@ def test_channels_are_checked_unless_told_not_to(
     assert result.quality.usable_percent == 100.0
 
 
-def test_swapped_files_are_found(manifests, model, tmp_path):
-    values = {"bogie": signal(manifests[0], "body"), "body": signal(manifests[0], "bogie")}
-    result = evaluated(changed(manifests[0], tmp_path, signals=values), model)
-    assert result.status == ERROR
-    assert "expected if bogie is in the place of body, body is in the place of bogie;" in (
-        result.reason
-    )
-
-
 @pytest.mark.parametrize(
     ("changes", "kind"),
     [
@@ -469,14 +436,6 @@ def test_any_error_is_a_row_but_not_ctrl_c(manifests, model, monkeypatch, error,
         evaluate_trip(manifests[0], [model], SETTINGS)
 
 
-def test_segment_of_two_overlapping_bins_counts_once(manifests, model, good):
-    near = replace(model, generator=replace(model.generator, speed_m_per_s=70.5))
-    result = evaluate_trip(manifests[0], [near, model], SETTINGS)
-    assert result.quality.segments_used == N_SEGMENTS
-    assert result.quality.n_averages == good.quality.n_averages
-    assert result.estimates == pytest.approx(good.estimates)
-
-
 # a sensor that comes loose
 
 
@@ -494,7 +453,7 @@ def test_good_part_is_estimated(manifests, model, tmp_path, channel):
     path = loose(manifests[1], tmp_path, channel, 200)
     part = evaluate_trip(path, [model], SETTINGS)
     assert part.status == whole.status == OK
-    assert f"{channel}: loose from about " in part.quality.faults
+    assert f"{channel}: loose between " in part.quality.faults
     assert "jump" not in part.quality.faults
     assert part.flags == whole.flags == ""
     assert part.quality.n_averages == pytest.approx(whole.quality.n_averages * 190 / 300, rel=0.15)
@@ -503,14 +462,14 @@ def test_good_part_is_estimated(manifests, model, tmp_path, channel):
         assert low < whole.estimates[name] < high
     checked = check_trip(path, CheckSettings({model.vehicle.name: model.vehicle}))
     assert checked.state == READY
-    assert any(remark.startswith(f"{channel}: loose from about ") for remark in checked.remarks)
+    assert any(remark.startswith(f"{channel}: loose between ") for remark in checked.remarks)
 
 
 def test_too_little_before_is_one_reason(manifests, model, tmp_path):
     path = loose(manifests[1], tmp_path, "body", 100)
     part = evaluate_trip(path, [model], SETTINGS)
     assert part.status == NO_ESTIMATE
-    assert "too little is free of faults: body: loose from about " in part.reason
+    assert "too little is free of faults: body: loose between " in part.reason
     assert "jump" not in part.reason + part.quality.faults
     checked = check_trip(path, CheckSettings({model.vehicle.name: model.vehicle}))
     assert checked.state == TOO_LITTLE

@@ -24,10 +24,10 @@ from suspnet.depot.live.drop_folder import TAKEN
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.storage import write_atomically
 from suspnet.ground.types import FloatArray
+from suspnet.trains.recordings.cleaning import find_gaps, runs
 from suspnet.trains.recordings.clocks import offsets_s
 from suspnet.trains.recordings.dates import EPOCH, SECOND_NS, ahead_ns, nanoseconds, time_zone
 from suspnet.trains.recordings.errors import TripError
-from suspnet.trains.recordings.faults import find_gaps, runs
 from suspnet.trains.recordings.frames import MOST_SAMPLES, Frame, encode, end_ns
 from suspnet.trains.recordings.manifest import TripManifest
 from suspnet.trains.recordings.manifest_files import ManifestFile

@@ -67,17 +67,11 @@ class Assembler:
     does not depend on how a signal is cut into frames, or on their order as long as no frame
     arrives after more than `window` later ones.
 
-    Attributes
-    ----------
-    counts : Counter
-        Accepted frames ("taken"); rejected frames: "duplicate", "late" (its place has become a
-        gap), "clock" (starts before the end of the samples so far), "far" (beyond the longest gap);
-        and "gap", "gap_samples", "missing" (sequence numbers that did not arrive in time) and
-        "restart" (of the sequence).
-    first_ns : int or None, [ns]
-        Time of the first sample.
-    n_samples : int
-        Number of samples returned, including those of gaps.
+    `counts` has accepted frames ("taken"); rejected frames: "duplicate", "late" (its place has
+    become a gap), "clock" (starts before the end of the samples so far), "far" (beyond the longest
+    gap); and "gap", "gap_samples", "missing" (sequence numbers that did not arrive in time) and
+    "restart" (of the sequence). `first_ns` is the time of the first sample, `n_samples` the number
+    of samples returned, including those of gaps.
     """
 
     def __init__(self, rate_hz: float, settings: OrderSettings | None = None) -> None:
@@ -126,11 +120,9 @@ class Assembler:
 
     @property
     def _tolerance(self) -> float:
-        """Largest offset of a frame from its expected time, [samples]."""
         return max(0.5, self.settings.jitter_s * self.rate_hz)
 
     def _ahead(self, frame: Frame) -> float:
-        """Return the time from the end of the last frame to the start of this one, [samples]."""
         return (frame.time_ns - self._end_ns) * self.rate_hz / SECOND_NS
 
     def _distance(self, frame: Frame) -> float:

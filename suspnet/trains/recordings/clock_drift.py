@@ -40,9 +40,6 @@ FINEST_S = 1e-5
 """Lower bound for the standard deviation of a delay, [s]."""
 LEAST_CORRELATION = 0.4
 """Least correlation of a window's cross-spectrum with the mean one for its peak to be clear."""
-RELIABLE = 0.9
-"""Least share of clear windows between the first and the last clear one for unclear windows outside
-to mean lost samples: left and right sensors have little in common where the rails differ."""
 NEWTON_STEPS = 3
 """Number of Newton steps from the highest sample of the cross-correlation to its peak."""
 MEMORY = 0.2
@@ -58,9 +55,8 @@ trip is refused, [s]: above the second, errors of estimates grow by 2 % or more.
 class Drift:
     """Change of the delay of one sensor behind another along a trip.
 
-    `size` is the jump [s] or the drift [s/s], `deviation` its standard deviation. An infinite jump
-    means that the signals have nothing in common on one side of it. `seconds` is the time between
-    the first and the last window.
+    `size` is the jump [s] or the drift [s/s], `deviation` its standard deviation. `seconds` is the
+    time between the first and the last window.
     """
 
     is_jump: bool
@@ -108,12 +104,8 @@ def compared_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
 
 
 def _words(manifest: TripManifest, first: str, second: str, drift: Drift) -> tuple[str, float]:
-    """Return the message on the second sensor's clock, and the change of its delay [s]."""
     if abs(drift.size) < SIGNIFICANT * drift.deviation:
         return "", 0.0
-    if math.isinf(drift.size):
-        words = Finding("clock-seems-to-jump", first=first, jump_at_s=drift.jump_at_s)
-        return words, REPORTED_S
     if drift.is_jump:
         ms, jump_at_s = 1e3 * drift.size, drift.jump_at_s
         return Finding("clock-jumps", ms=ms, first=first, jump_at_s=jump_at_s), abs(drift.size)
@@ -152,24 +144,11 @@ def find_drift(
         return None
     begins_s = WINDOW_S * np.flatnonzero(good)
     classes = _speed_classes(speed_m_per_s[whole].reshape(n_windows, size)[good])
-    # Many unclear windows before or after a run of clear ones mean that samples were lost. Windows
-    # at other or changing speeds do not count, as the motion may differ there.
-    alike = (classes >= 0) & np.isin(classes, classes[clear])
-    among = np.flatnonzero(clear[alike])
-    if len(among):
-        before, after = among[0], np.count_nonzero(alike) - 1 - among[-1]
-        share = clear[alike][among[0] : among[-1] + 1].mean()
-        if max(before, after) >= LEAST_WINDOWS and share >= RELIABLE:
-            place = among[-1] if after >= before else among[0] - 1
-            lost_s = float(begins_s[alike][place]) + WINDOW_S
-            return Drift(True, math.inf, 0.0, lost_s, WINDOW_S * len(clear))
-    # otherwise the delays of the clear windows show a drift or a jump
     middles_s = np.asarray(begins_s[clear] + WINDOW_S / 2, dtype=np.float64)
     return _fitted(middles_s, delays_s[clear], classes[clear])
 
 
 def _speed_classes(speeds: FloatArray) -> IntArray:
-    """Return the speed class of each window; -1 if unsteady. `speeds`: (n_windows, n_samples)."""
     mean = speeds.mean(axis=1)
     steady = (mean > STANDING_M_PER_S) & (np.ptp(speeds, axis=1) <= SPEED_CLASS * mean)
     classes = np.round(np.log(np.maximum(mean, STANDING_M_PER_S)) / SPEED_CLASS).astype(np.intp)

@@ -20,6 +20,7 @@ from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.trains.recordings.columns import Column, size_of
 from suspnet.trains.recordings.dates import (
     EPOCH,
+    NO_DATE,
     SECOND_NS,
     ahead_ns,
     date_problem,
@@ -30,16 +31,12 @@ from suspnet.trains.recordings.dates import (
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.manifest import TripManifest
 from suspnet.trains.recordings.manifest_sources import TIME_UNITS, FileSource
-from suspnet.trains.recordings.stamps import NO_DATE
 
 DATED_S = (3.15e8, 4.1e9)
 """Range of a first time [s] that is taken as seconds since 1970: the years 1979 to 2099."""
 LONGEST_STEP_S = 60.0
 """Longest step of times [s] that count as seconds since 1970: a counter of nanoseconds passes their
 numbers within seconds."""
-USUAL_HZ = (50.0, 50e3)
-"""Rates of accelerometers from which the unit of times is inferred: a factor of 1000, so that only
-one unit fits."""
 LEAST_STEPS = 8
 """Least number of steps of the first block by which jumps of the times are judged."""
 SAME_NS = 1000
@@ -86,17 +83,13 @@ class Times:
         self.where, self.source, self.column = where, source, column
         start_ns = column.start_ns if start_ns is None else start_ns
         self.zero = Zero(start_ns, not column.is_local, is_stated=start_ns is not None)
-        self._begun = self._is_assumed = False
+        self._begun = False
         self._size, self._first = 1.0, 0.0
         self._usual: float | None = None
         self._last: Any = None
         self._shift = 0
         self._repairs: Counter[str] = Counter()
         self.n_untimed = 0
-
-    def likely_unit(self, rate_hz: float) -> str:
-        """Return `likely_time_unit` if neither file nor manifest states the unit."""
-        return likely_time_unit(rate_hz) if self._is_assumed else ""
 
     @property
     def words(self) -> list[str]:
@@ -125,7 +118,6 @@ class Times:
         return np.asarray((raw.astype(np.float64) - self._first) * self._size)
 
     def _continued(self, raw: NDArray[Any], missing: BoolArray, is_stamp: bool) -> NDArray[Any]:
-        """Return times without the jumps of a counter, a day or a change of clocks."""
         present = raw[~missing] if missing.any() else raw
         if not len(present):
             return raw
@@ -166,7 +158,6 @@ class Times:
         return [] if self.column.is_zoned else [("an hour", hour), ("an hour", -hour)]
 
     def _begin_stamps(self, times: NDArray[np.generic]) -> None:
-        """Set the zero of time stamps to the whole second of the first one."""
         seconds = times[~np.isnat(times)].astype("datetime64[s]")
         if not len(seconds):
             raise TripError.at(self.where, "times-empty")
@@ -186,7 +177,6 @@ class Times:
             self.zero = Zero(first - self._offset_ns(first, zone))
 
     def _offset_ns(self, first: int, zone: str) -> int:
-        """Return how far a local time is ahead of UTC, [ns]."""
         early, late = (ahead_ns(first, time_zone(zone), fold) for fold in (0, 1))
         if early != late:
             naive = (EPOCH + timedelta(seconds=first // SECOND_NS)).replace(tzinfo=None)
@@ -215,7 +205,6 @@ class Times:
         low, high = DATED_S
         dated = [s for s in sizes if low <= first * s <= high and step * s < LONGEST_STEP_S]
         self._size = dated[0] if dated else (size or 1.0)
-        self._is_assumed = size is None and not dated
         if dated:
             whole_s = int(first * self._size)
             self._first = whole_s / self._size
@@ -227,19 +216,6 @@ class Times:
                 raise TripError.at(self.where, "zone-for-numbers")
             ahead = self._offset_ns(self.zero.ns, self.source.time_zone)
             self.zero = replace(self.zero, ns=self.zero.ns - ahead, is_zoned=True)
-
-
-def likely_time_unit(rate_hz: float) -> str:
-    """Return the unit of an accelerometer's times that gives a usual rate; empty if seconds do.
-
-    `rate_hz` is the rate of times in seconds.
-
-    >>> likely_time_unit(0.0002), likely_time_unit(200.0)
-    ('us', '')
-    """
-    low, high = USUAL_HZ
-    units = [unit for unit, size in TIME_UNITS.items() if low <= rate_hz / size < high]
-    return units[0] if units and rate_hz < low else ""
 
 
 def header_date(column: Column) -> datetime | None:

@@ -36,27 +36,12 @@ MOST_BLOCK_BYTES = 8 * 8 * BLOCK
 class Column:
     """One column of a file, as the file describes it; None where it states nothing.
 
-    Attributes
-    ----------
-    unit : str or None
-        As written in the file.
-    time : str or None
-        Name of the column with the times of this one.
-    start_ns : int or None, [ns]
-        Time of the first sample or, with `time`, origin of its times, since 1970 in UTC, or in the
-        logger's unknown time zone if `is_local`.
-    is_time, is_zoned : bool
-        It holds time stamps rather than numbers; they are in UTC rather than an unknown zone.
-    is_by_name : bool
-        It is read only by its name, as a column of a matrix, or a stated rate.
-    is_whole_rate : bool
-        The format stores the rate as a whole number.
-    full_scale : float or None
-        Largest value of integers that represent a fraction of the range.
-    date : str or None
-        Start of the recording as written in a header, too coarse to align clocks.
-    unread : str
-        Why it holds neither numbers nor times that can be read; empty if it does.
+    `unit` is as written in the file, `time` the name of the column with the times of this one.
+    `start_ns` is the time of the first sample or, with `time`, the origin of its times, since 1970
+    in UTC, or in the logger's unknown time zone if `is_local`. `is_time`: it holds time stamps
+    rather than numbers; `is_zoned`: they are in UTC rather than an unknown zone. `date` is the
+    start of the recording as written in a header, too coarse to align clocks. `unread` is why it
+    holds neither numbers nor times that can be read; empty if it does.
     """
 
     name: str
@@ -66,9 +51,6 @@ class Column:
     start_ns: int | None = None
     is_time: bool = False
     is_zoned: bool = False
-    is_by_name: bool = False
-    is_whole_rate: bool = False
-    full_scale: float | None = None
     date: str | None = None
     unread: str = ""
     is_local: bool = False
@@ -79,14 +61,13 @@ class OpenFile:
     """A file that is open for reading.
 
     `read` yields blocks of the named columns. `words` states how the file is read if this was
-    detected. `hint` is added to the message about a missing column. `notes` are lines in which the
-    logger describes the recording. `remarks` grow while blocks are read: what was left out.
+    detected. `notes` are lines in which the logger describes the recording. `remarks` grow while
+    blocks are read: what was left out.
     """
 
     columns: tuple[Column, ...]
     read: Callable[[Sequence[str]], Iterator[Block]]
     words: str = ""
-    hint: str = ""
     notes: tuple[str, ...] = ()
     remarks: list[str] = field(default_factory=list)
 
@@ -108,19 +89,13 @@ def choose(path: Path, file: OpenFile, columns: Sequence[str | None]) -> list[st
     named = [name for name in columns if name is not None]
     for name in named:
         if name not in present:
-            listed = [c.name for c in file.columns if not (c.is_by_name or c.unread)]
-            kind = "no-column-but-matrix" if file.hint else "no-column"
-            values = {"name": repr(name), "names": listing(listed), "matrix": file.hint}
-            raise TripError(Finding(kind, path=path, **values))
+            listed = listing([c.name for c in file.columns if not c.unread])
+            raise TripError(Finding("no-column", path=path, name=repr(name), names=listed))
         if reason := file.column(name).unread:
             raise TripError(Finding("column-unread", path=path, name=repr(name), unread=reason))
     # the column of times of another one is never the only one left
     times = {column.time for column in file.columns} | set(named)
-    others = [
-        c.name
-        for c in file.columns
-        if not (c.is_by_name or c.is_time or c.unread or c.name in times)
-    ]
+    others = [c.name for c in file.columns if not (c.is_time or c.unread or c.name in times)]
     if len(named) < len(columns) and len(others) != 1:
         raise TripError.at(path, "say-which-column", names=listing(others))
     names = [others[0] if name is None else name for name in columns]
@@ -185,8 +160,6 @@ FREE_MEMORY, MEMORY_PER_BYTE = 5 * 2**28, 16
 Columns of MAT and UFF files are read whole: two copies of 8 bytes per sample of 1 or 2 bytes."""
 FREE_S, SECONDS_PER_BYTE, MOST_S = 20.0, 1e-6, 300.0
 """Time [s] that a reader may take for one step: 20 s, plus 1 s per megabyte, at most 300 s."""
-MOST_CHUNK_BYTES = 2**28
-"""Largest chunk of an HDF5 file, which is unpacked whole to read a single sample."""
 
 
 def most_samples(path: Path) -> int:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -28,14 +27,11 @@ from suspnet.trains.recordings.csv_dialect import (
     Dialect,
     Kind,
     find_dialect,
-    is_of_kind,
-    split,
     unread,
 )
-from suspnet.trains.recordings.dates import read_date
+from suspnet.trains.recordings.dates import NO_DATE, Notation, notation_of, read_date, read_stamps
 from suspnet.trains.recordings.errors import TripError
-from suspnet.trains.recordings.manifest_keys import CsvDialect
-from suspnet.trains.recordings.stamps import NO_DATE, Notation, notation_of, read_stamps
+from suspnet.trains.recordings.manifest_sources import CsvDialect
 
 BLOCK_BYTES = 2**19
 """Number of bytes that are parsed at once."""
@@ -84,7 +80,6 @@ def _parquet_column(field: Any) -> Column:
 
 
 def _from_arrow(column: Any) -> NDArray[Any]:
-    """Return a column as float64, NaN where missing, or time stamps as datetime64[ns]."""
     is_time = pa.types.is_timestamp(column.type)
     numbers = column.cast(pa.timestamp("ns")) if is_time else column.cast(pa.float64(), safe=False)
     return as_block(numbers.to_numpy(zero_copy_only=False))
@@ -114,34 +109,16 @@ def open_csv(path: Path, stated: CsvDialect | None = None) -> Iterator[OpenFile]
     yield OpenFile(columns, read, words, notes=dialect.above, remarks=remarks)
 
 
-@dataclass
-class _Remark:
-    """What was left out of a file: how often, and the first of it."""
+class _Line(NamedTuple):
+    """A line that Arrow refuses, or a row among such lines, with the cells that are read.
 
-    n: int = 0
-    first: str = ""
-
-    def add(self, line_number: int, text: str) -> None:
-        self.n += 1
-        if not self.first:
-            shown = re.sub(r"\s*;\s*", ";", text.strip()[:SHOWN])  # "; " separates remarks
-            self.first = Finding("first-in-line", line_number=line_number, shown=repr(shown))
-
-
-@dataclass
-class _Line:
-    """A line that may be of a footer: the cells that are read, and the words among them.
-
-    One that is no row may be a damaged row, which is a missing sample, or the names of a table.
+    `kind` is "" for a row, else that of the remark on it, or of the error if rows follow.
     """
 
+    kind: str
     number: int
     text: str
     cells: list[str]
-    words: list[str]
-    is_row: bool = True
-    is_damaged: bool = False
-    is_other_table: bool = False
 
 
 class _Rows:
@@ -159,8 +136,8 @@ class _Rows:
         date = read_date(dialect.date or "")
         self._day = NO_DATE if date is None else np.datetime64(date.date(), "D")
         self._n_lines = self._n_rows = self._n_zeros = 0
-        self._pending: list[_Line] = []
-        self._lines, self._damaged, self._words = _Remark(), _Remark(), _Remark()
+        self._pending: list[_Line] = []  # lines that may be of a footer
+        self._odd: dict[str, list[Any]] = {}  # number of lines of a kind, and the first of them
         types = [pa.string() if kind else pa.float64() for kind in self._kinds]
         self._convert = pa.csv.ConvertOptions(
             include_columns=list(names),
@@ -186,18 +163,18 @@ class _Rows:
                 if len(block[0]):
                     yield block
         for line in self._pending:
-            self._lines.add(line.number, line.text)
+            self._note("lines-left-out", line)
         self._check()
-        remarks += self._remarks()
+        for kind, (n, first) in self._odd.items():
+            remarks.append(Finding(kind, name=self.path.name, n=n, first=first))
+        if self._n_zeros:
+            remarks.append(Finding("zero-bytes", name=self.path.name, n=self._n_zeros))
 
     def _pieces(self, source: Any) -> Iterator[bytes]:
-        """Yield pieces of whole lines, without zero bytes."""
         rest = b""
         while block := source.read(BLOCK_BYTES):
-            if b"\0" in block:
-                self._n_zeros += block.count(0)
-                block = block.replace(b"\0", b"")
-            text = rest + block
+            self._n_zeros += block.count(0)
+            text = rest + block.replace(b"\0", b"")
             end = text.rfind(b"\n") + 1 or text.rfind(b"\r", 0, max(len(text) - 1, 0)) + 1
             if not end and len(text) > LONGEST_LINE:
                 raise ValueError(Finding("line-too-long", longest_line=LONGEST_LINE))
@@ -208,7 +185,6 @@ class _Rows:
             yield rest
 
     def _read(self, piece: bytes) -> Block:
-        """Return the columns of a piece; one that Arrow refuses is halved until it is short."""
         block: Block = ()
         for sign in ("", *SIGNS):  # signs are replaced only where needed
             if not block and sign.encode() in piece:
@@ -225,10 +201,7 @@ class _Rows:
         return block
 
     def _parsed(self, piece: bytes) -> Block:
-        """Return the columns of a piece without damage; ArrowInvalid or ValueError otherwise."""
-        if (
-            self.dialect.delimiter == " "
-        ):  # a tab replaces blanks; none is left at the ends of lines
+        if self.dialect.delimiter == " ":  # a tab replaces blanks; none is left at ends of lines
             piece = re.sub(rb"(?m)^\t|\t(?=\r?$)", b"", re.sub(rb"[ \t]+", b"\t", piece))
         options = pa.csv.ReadOptions(
             use_threads=False,
@@ -248,71 +221,62 @@ class _Rows:
             columns = [np.concatenate(pair) for pair in zip(before, columns, strict=True)]
         return tuple(columns)
 
-    def _stamps(self, column: Any, notation: Notation) -> Any:
-        """Return text time stamps as datetime64[ns], in UTC if they have a zone."""
-        texts = column.drop_null() if column.null_count else column
-        try:
-            stamps = read_stamps(*_letters(texts), notation, self._day)
-        except ValueError:
-            texts = pa.compute.utf8_trim_whitespace(texts)
-            stamps = read_stamps(*_letters(texts), notation, self._day)
-        times = np.full(len(column), np.datetime64("NaT", "ns"))
-        times[column.is_valid().to_numpy(zero_copy_only=False)] = stamps.view("datetime64[ns]")
-        return times
+    def _stamps(self, column: Any, notation: Notation, is_strict: bool = True) -> Any:
+        """Return text time stamps as datetime64[ns], in UTC if they have a zone.
+
+        Invalid ones are missing unless `is_strict`, where they raise ValueError.
+        """
+        stamps, is_valid = read_stamps(column.fill_null(""), notation, self._day)
+        is_present = column.is_valid().to_numpy(zero_copy_only=False)
+        if is_strict and not is_valid[is_present].all():
+            raise ValueError("no time stamp")
+        return np.where(is_valid, stamps.view("datetime64[ns]"), np.datetime64("NaT"))
 
     def _mended(self, text: str) -> Block:
-        """Return the columns of a piece with damage, read line by line."""
         rows: list[list[str]] = []
         lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
         for number, line in enumerate(lines, self._n_lines + 1):
             if number < self.dialect.first_line or not line.strip():
                 continue
-            judged = self._judged(number, line)
-            self._pending.append(judged)
-            if (judged.is_row and not judged.words) or len(self._pending) > FOOTER_LINES:
+            self._pending.append(self._judged(number, line))
+            if not self._pending[-1].kind or len(self._pending) > FOOTER_LINES:
                 rows += self._taken()
         return self._columns(rows)
 
     def _judged(self, number: int, text: str) -> _Line:
-        """Return the cells of a line that are read; "" for words, and all "" if it is no row."""
-        cells = split(text, self.dialect.delimiter)
-        cells = ["" if cell in MISSING else cell for cell in cells]
-        kinds, decimal, words = self.dialect.kinds, self.dialect.decimal, []
-        is_row = len(cells) == len(kinds)
-        if is_row:
-            # a row may have words in place of some numbers, but needs its time and a number
-            pairs = enumerate(zip(cells, kinds, strict=True))
-            wrong = {i for i, (cell, kind) in pairs if cell and not is_of_kind(cell, kind, decimal)}
-            read = {i for i, kind in enumerate(kinds) if cells[i] and not isinstance(kind, str)}
-            is_row = bool(read - wrong)
+        """Return what a line is, with the cells that are read; "" for words and missing values."""
+        dialect, kinds = self.dialect, self.dialect.kinds
+        cells = ["" if cell in MISSING else cell for cell in dialect.split(text)]
+        if len(cells) == len(kinds):
+            filled = [i for i in dialect.read if cells[i]]
+            wrong = {i for i in filled if not dialect.is_value(cells[i], i)}
             for i in wrong & set(self._places):
                 self._refuse_other_dialect(number, cells[i], kinds[i])
-                is_row &= kinds[i] is None  # without its time a row is none
-                words.append(cells[i])
-                cells[i] = ""
-        if is_row:
-            return _Line(number, text, [cells[i] for i in self._places], words)
+            # a row may have words in place of some numbers, but needs its time and a number
+            is_timed = all(kinds[i] is None for i in wrong & set(self._places))
+            if is_timed and wrong != set(filled):
+                own = ["" if i in wrong else cells[i] for i in self._places]
+                kind = "words-for-numbers" if wrong & set(self._places) else ""
+                return _Line(kind, number, text, own)
         # anything else is a damaged row, the names of a table, or a line of a footer
-        own = split(COMMENT.sub("", text), self.dialect.delimiter)
-        is_like_row = len(own) == len(kinds) or any(map(NUMBER[decimal].fullmatch, own))
-        is_header = is_like_row and self._is_header(own)
-        is_damaged = is_like_row and not is_header and not COMMENT.match(text)
-        is_other = is_header and tuple(own) != self.dialect.names and len({"", *own}) > len(own)
-        cells = [""] * len(self._places)
-        return _Line(number, text, cells, [], False, is_damaged, is_other)
+        own = dialect.split(COMMENT.sub("", text))
+        kind = "lines-left-out"
+        if len(own) == len(kinds) or any(map(NUMBER[dialect.decimal].fullmatch, own)):
+            if not self._is_header(own):
+                kind = kind if COMMENT.match(text) else "damaged-rows"
+            elif tuple(own) != dialect.names and len({"", *own}) > len(own):
+                kind = "several-tables"
+        return _Line(kind, number, text, [""] * len(self._places))
 
     def _is_header(self, cells: Sequence[str]) -> bool:
-        """Return whether cells are names: those of the columns, or others with one of these."""
         first = re.split(r"[\W_]", cells[0])[0]
         shared = set(cells) & set(self.dialect.names) or TIME_NAME.fullmatch(first)
         is_text = not any(cell[:1].isdigit() for cell in cells)
         return tuple(cells) == self.dialect.names or (is_text and bool(shared))
 
     def _refuse_other_dialect(self, number: int, cell: str, kind: Kind) -> None:
-        """Raise TripError if a cell is a number or a time that is written in another way."""
         if isinstance(kind, Notation):
-            other = notation_of(cell)
-            if other is not None and not other.is_like(kind):
+            if notation_of(cell) is not None:
                 raise TripError.at(self.path, "time-stamp-differs", number=number, cell=repr(cell))
             return
         is_grouped = GROUPED.fullmatch(cell) is not None
@@ -322,47 +286,34 @@ class _Rows:
             raise TripError.at(self.path, problem, **where, decimal=repr(self.dialect.decimal))
 
     def _taken(self) -> list[list[str]]:
-        """Return the cells of the rows among the pending lines, whose words are missing values."""
-        for line in self._pending:
-            if line.is_other_table:
-                text = repr(line.text.strip()[:SHOWN])
-                raise TripError.at(self.path, "several-tables", number=line.number, strip=text)
-            for word in line.words:
-                self._words.add(line.number, word)
-            if not line.is_row:
-                remark = self._damaged if line.is_damaged else self._lines
-                remark.add(line.number, line.text)
+        """Return the cells of the rows among the pending lines, and note the other lines."""
         taken, self._pending = self._pending, []
-        return [line.cells for line in taken if line.is_row or line.is_damaged]
+        for line in taken:
+            if line.kind == "several-tables":
+                text = repr(line.text.strip()[:SHOWN])
+                raise TripError.at(self.path, line.kind, number=line.number, strip=text)
+            if line.kind:
+                self._note(line.kind, line)
+        return [line.cells for line in taken if line.kind != "lines-left-out"]
+
+    def _note(self, kind: str, line: _Line) -> None:
+        if kind not in self._odd:
+            shown = re.sub(r"\s*;\s*", ";", line.text.strip()[:SHOWN])  # "; " separates remarks
+            first = Finding("first-in-line", line_number=line.number, shown=repr(shown))
+            self._odd[kind] = [0, first]
+        self._odd[kind][0] += 1
 
     def _columns(self, rows: Sequence[Sequence[str]]) -> Block:
-        """Return rows of cells that fit as columns."""
         columns = list(zip(*rows, strict=True)) or [()] * len(self._places)
         return tuple(
-            self._stamps(pa.array([cell or None for cell in cells], pa.string()), kind)
+            self._stamps(pa.array(cells, pa.string()), kind, is_strict=False)
             if isinstance(kind, Notation)
             else np.array([float(cell.replace(",", ".") or "nan") for cell in cells])
             for cells, kind in zip(columns, self._kinds, strict=True)
         )
 
     def _check(self) -> None:
-        """Raise TripError if too many lines are no rows."""
-        n, first = self._lines.n + self._damaged.n, self._lines.first or self._damaged.first
+        odd = [self._odd.get(kind, (0, "")) for kind in ("lines-left-out", "damaged-rows")]
+        n, first = sum(n for n, _ in odd), odd[0][1] or odd[1][1]
         if n > MOST_LEFT_OUT * self._n_rows + FOOTER_LINES:
             raise TripError.at(self.path, "too-many-odd-lines", n=n, first=first)
-
-    def _remarks(self) -> Iterator[str]:
-        name = self.path.name
-        remarks = {"lines-left-out": self._lines, "damaged-rows": self._damaged}
-        for kind, remark in (remarks | {"words-for-numbers": self._words}).items():
-            if remark.n:
-                yield Finding(kind, name=name, n=remark.n, first=remark.first)
-        if self._n_zeros:
-            yield Finding("zero-bytes", name=name, n=self._n_zeros)
-
-
-def _letters(texts: Any) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
-    """Return the bytes of an Arrow array of texts, and where each text starts and ends."""
-    _, offsets, letters = texts.buffers()
-    ends = np.frombuffer(offsets, np.int32)[texts.offset : texts.offset + len(texts) + 1]
-    return np.frombuffer(letters or b"", np.uint8), ends

@@ -1,19 +1,32 @@
-"""Sensors without signals of their own: dead ones are left out, copies of another one refused.
+"""Sensors without signals of their own: dead, copied or loose.
 
-The place of a dead one of a pair is read by the other one alone. A single one is left out if enough
-others remain to read each part.
+Dead ones are left out, copies of another one refused. The place of a dead one of a pair is read by
+the other one alone. A single one is left out if enough others remain to read each part.
+
+Loose sensors show noise or hum instead of the train's motion. All sensors of a suspension are
+excited by the same track, so an intact one is coherent with at least one other while the train
+moves, and a loose one with none, nor one whose clock has jumped by a second or more. Lack of
+coherence alone is no evidence: at low speed or on smooth track all signals vanish in noise. A
+sensor therefore counts as loose only where the others are as loud as usual, or it is far quieter
+than they are.
 """
 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from scipy.fft import rfft
+from scipy.ndimage import binary_propagation, correlate1d
+from scipy.signal import get_window
 
 from suspnet.ground.findings import Finding, at, together
-from suspnet.ground.types import BoolArray, FloatArray
-from suspnet.trains.recordings.cleaning import Fault
+from suspnet.ground.types import BoolArray, ComplexArray, FloatArray
+from suspnet.trains.recordings.cleaning import Fault, runs
 from suspnet.trains.recordings.errors import DeadSensorError, TripError
 from suspnet.trains.recordings.manifest import LEAST_SENSORS, TripManifest
 from suspnet.trains.recordings.manifest_sources import partner_of
@@ -131,3 +144,191 @@ def check_copies(values: Mapping[str, FloatArray], usable: BoolArray, where: obj
             problems.append(at(where, kind, one=first, other=second, gain=gain))
     if problems:
         raise TripError(*problems)
+
+
+FRAME_S, STEP_S = 2.0, 1.0
+"""Length of the frames whose spectra are averaged, and step from one to the next, [s]."""
+N_AVERAGED = 16
+"""Number of frames in an average; independent signals then have a coherence of about 0.1."""
+BAND_HZ = (1.0, 15.0)
+"""Band over which the coherence is averaged, up to a quarter of the rate [Hz]."""
+ALONE, SHARED = 0.2, 0.3
+"""Mean coherences below which two sensors share no motion, and above which they do. Intact sensors
+of simulated trips were below the first at low speeds only."""
+MOVING_M_PER_S = 2.0
+"""Speed above which the sensors respond to the track, [m/s]."""
+USUAL = -0.2
+"""Least power of another sensor, relative to its median while sharing motion, that counts as usual
+[powers of ten]. Where intact sensors of simulated trips were alone it was at most -0.28."""
+COLLAPSED = 1.5
+"""Least drop of a collapsed sensor's power below that of the quietest other [powers of ten]. Intact
+sensors that were alone reached 1.1."""
+SLOW_SHARE, SLOW_QUANTILE = 0.7, 0.1
+"""A sensor is judged only above SLOW_SHARE times this quantile of the speeds at which it shared the
+others' motion: its signal at far lower speeds is unknown."""
+MOSTLY = 0.9
+"""A sensor of a pair is loose all along if it shares no motion in at least this fraction of the
+frames, while the other one does in more than half of them."""
+LEAST_FRAMES = 5
+"""Least number of frames with evidence in a loose stretch."""
+EDGE_S = 10.0
+"""Uncertainty of the ends of a loose stretch: half an average plus a frame, [s]."""
+
+
+@dataclass(frozen=True)
+class _Frames:
+    """Averages around each frame of a recording.
+
+    `coherences`: (n_sensors, n_frames), mean over the band, with the most similar sensor. `levels`:
+    (n_sensors, n_frames), [powers of ten], median over the band of the power relative to the usual
+    one; NaN for sensors that never share motion. `speeds`: (n_frames,), [m/s]. `judged`:
+    (n_frames,), whether the train moves and more than half of the averaged frames are usable.
+    """
+
+    coherences: FloatArray
+    levels: FloatArray
+    speeds: FloatArray
+    judged: BoolArray
+
+
+def find_loose(
+    values: Mapping[str, FloatArray],
+    usable: BoolArray,
+    speed_m_per_s: FloatArray,
+    rate_hz: float,
+    start_s: float = 0.0,
+) -> tuple[tuple[Fault, ...], BoolArray, BoolArray]:
+    """Return a fault for each loose sensor, where each is loose, and where motion is too weak.
+
+    All arrays are on the common clock, of shape (n,), the second result (n_sensors, n); its first
+    sample is at `start_s` on the trip's clock. Where motion is too weak, an intact sensor shares
+    none with the others.
+    """
+    signals = np.stack(list(values.values()))
+    frames = _frames(signals, usable, speed_m_per_s, rate_hz)
+    # a sensor without shared motion is loose, or there is little motion
+    alone = (frames.coherences < ALONE) & frames.judged
+    loose = _loose(frames, alone)
+    loose |= alone & _never_shared(list(values), frames)[:, None]  # loose all along
+    n = len(usable)
+    faults, masks = [], np.zeros((len(values), n), dtype=np.bool_)
+    for name, its, its_alone, mask in zip(values, loose, alone & loose, masks, strict=True):
+        if its.any():
+            mask[:] = _painted(its, n, rate_hz)
+            kind = "loose-of-pair" if partner_of(name) in values else "loose"
+            seen_s = start_s + STEP_S * np.flatnonzero(its_alone)[[0, -1]]
+            words = Finding(kind, first=seen_s[0], last=seen_s[1] + FRAME_S)
+            n_loose, first_s = int(np.count_nonzero(mask)), start_s + mask.argmax() / rate_hz
+            seconds = n_loose / rate_hz
+            faults.append(Fault(name, "loose", n_loose, seconds, first_s, False, None, words))
+    silent = np.asarray((alone & ~loose).any(axis=0))
+    return tuple(faults), masks, _painted(silent, n, rate_hz)
+
+
+def _frames(
+    signals: FloatArray, usable: BoolArray, speed_m_per_s: FloatArray, rate_hz: float
+) -> _Frames:
+    size, step = round(FRAME_S * rate_hz), round(STEP_S * rate_hz)
+    inside = _in_frames(usable, size, step).all(axis=1)
+    speeds = _in_frames(np.nan_to_num(speed_m_per_s), size, step).mean(axis=1)
+    window, band = get_window("hann", size), _band(size, rate_hz)
+    spectra = np.stack(
+        [rfft(window * _in_frames(signal, size, step), axis=1)[:, band] for signal in signals]
+    )
+    spectra *= inside[:, None]
+    power = np.maximum(_averaged(np.abs(spectra) ** 2), np.finfo(np.float64).tiny)
+    coherences = np.zeros(spectra.shape[:2])
+    for i, j in itertools.combinations(range(len(signals)), 2):
+        cross = np.abs(_averaged(spectra[i].conj() * spectra[j])) ** 2
+        shared = (cross / power[i] / power[j]).mean(axis=1)
+        coherences[[i, j]] = np.maximum(coherences[[i, j]], shared)
+    n_inside = _averaged(inside[:, None].astype(np.float64))[:, 0]
+    judged = (speeds > MOVING_M_PER_S) & (n_inside > 0.5 - 0.5 / N_AVERAGED)
+    shares = (coherences >= SHARED) & judged
+    levels = _levels(power / np.maximum(n_inside, 1 / N_AVERAGED)[:, None], shares)
+    return _Frames(coherences, levels, speeds, judged)
+
+
+def _levels(power: FloatArray, shares: BoolArray) -> FloatArray:
+    """Return the levels (n_sensors, n_frames) of a power, with its usual one where `shares`."""
+    logs = np.log10(np.maximum(power, np.finfo(np.float64).tiny))
+    levels = np.full(shares.shape, np.nan)
+    for level, log, its in zip(levels, logs, shares, strict=True):
+        if np.count_nonzero(its) >= N_AVERAGED:
+            level[:] = np.median(log - np.median(log[its], axis=0), axis=1)
+    return levels
+
+
+def _in_frames(values: Any, size: int, step: int) -> Any:
+    return np.lib.stride_tricks.sliding_window_view(values, size)[::step]
+
+
+def _band(size: int, rate_hz: float) -> slice:
+    low, high = BAND_HZ[0], min(BAND_HZ[1], rate_hz / 4)
+    return slice(math.ceil(low * size / rate_hz), math.floor(high * size / rate_hz) + 1)
+
+
+def _averaged(spectra: FloatArray | ComplexArray) -> Any:
+    # not a running sum: its rounding error would persist after a loud signal
+    return correlate1d(spectra, np.full(N_AVERAGED, 1 / N_AVERAGED), axis=-2, mode="constant")
+
+
+def _loose(frames: _Frames, alone: BoolArray) -> BoolArray:
+    """Return the frames in which each sensor is loose.
+
+    Only sensors that are not loose serve as reference, hence two rounds.
+    """
+    loose = np.zeros_like(alone)
+    for _ in range(2):
+        sound, loose = np.where(loose, np.nan, frames.levels), np.zeros_like(alone)
+        for i in np.flatnonzero(alone.any(axis=1)).tolist():
+            # frames with evidence grow into the stretch of frames without shared motion
+            seeds = alone[i] & _evidence(frames, sound, i)
+            grown = binary_propagation(seeds, mask=alone[i] | ~frames.judged)
+            for part in map(slice, *(edges.tolist() for edges in runs(grown))):
+                loose[i, part] = np.count_nonzero(seeds[part]) >= LEAST_FRAMES
+    return loose
+
+
+def _never_shared(names: Sequence[str], frames: _Frames) -> BoolArray:
+    shares = np.count_nonzero((frames.coherences >= SHARED) & frames.judged, axis=1)
+    is_alone = (frames.coherences < ALONE) & frames.judged
+    n_judged, n_alone = np.count_nonzero(frames.judged), np.count_nonzero(is_alone, axis=1)
+    never = np.zeros(len(names), dtype=np.bool_)
+    for i, name in enumerate(names):
+        if (partner := partner_of(name)) in names:
+            is_partner_sound = shares[names.index(partner)] > n_judged / 2
+            never[i] = n_alone[i] >= MOSTLY * n_judged and is_partner_sound
+    return never
+
+
+def _evidence(frames: _Frames, levels: FloatArray, i: int) -> BoolArray:
+    """Return the frames in which sensor `i`, if intact, would share the others' motion.
+
+    `levels` are NaN where a sensor is no reference.
+    """
+    own, others = frames.levels[i], np.delete(levels, i, axis=0)
+    loudest = np.where(np.isnan(others), -np.inf, others).max(axis=0)
+    quietest = np.where(np.isnan(others), np.inf, others).min(axis=0)
+    has_collapsed = np.isfinite(quietest) & (own <= quietest - COLLAPSED)  # False for NaN
+    # its signal at speeds far below those at which it shared motion is unknown
+    shares = (frames.coherences[i] >= SHARED) & frames.judged
+    if np.isnan(own).all():
+        return np.zeros_like(frames.judged)
+    slowest = SLOW_SHARE * np.quantile(frames.speeds[shares], SLOW_QUANTILE)
+    return np.asarray(((loudest >= USUAL) | has_collapsed) & (frames.speeds >= slowest))
+
+
+def _painted(frames: BoolArray, n_samples: int, rate_hz: float) -> BoolArray:
+    """Return the samples of some frames, (n_samples,), extended by half an average."""
+    starts, stops = runs(frames)
+    first = (starts + 1) * STEP_S - EDGE_S
+    last = stops * STEP_S + EDGE_S
+    # the first and last frames have incomplete averages: extend to the ends of the recording
+    first[starts <= EDGE_S / STEP_S] = 0.0
+    last[stops >= len(frames) - EDGE_S / STEP_S] = n_samples / rate_hz
+    begin, end = (np.rint(s * rate_hz).astype(np.intp).clip(0, n_samples) for s in (first, last))
+    steps = np.zeros(n_samples + 1, dtype=np.intp)
+    np.add.at(steps, begin, 1)
+    np.add.at(steps, end, -1)
+    return np.asarray(np.cumsum(steps[:-1]) > 0)

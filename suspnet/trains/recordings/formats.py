@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from suspnet.ground.findings import Finding
 from suspnet.ground.storage import open_plain
-from suspnet.trains.recordings.array_files import open_hdf5, open_mat
 from suspnet.trains.recordings.columns import BLOCK, Block, OpenFile, Reader, check_samples, choose
 from suspnet.trains.recordings.csv_files import open_csv, open_parquet
 from suspnet.trains.recordings.errors import TripError, opening
-from suspnet.trains.recordings.logger_files import open_tdms, open_uff, open_wav
-from suspnet.trains.recordings.manifest_keys import CsvDialect
-from suspnet.trains.recordings.mdf_files import open_mdf
+from suspnet.trains.recordings.logger_files import open_mdf, open_tdms
+from suspnet.trains.recordings.manifest_sources import CsvDialect
+from suspnet.trains.recordings.mat_files import open_mat
 from suspnet.trains.recordings.reader_process import in_own_process
 
 
@@ -58,10 +56,8 @@ def open_columns(
 
     TDMS channels are named "group/channel", columns of a matrix "name[0]", fields of a struct
     "struct.field"; None is the only column not named. Arrays are float64, NaN where missing, or
-    datetime64[ns] for time stamps. Nothing is ever unpickled. All formats except UFF, WAV of 24
-    bits and MAT before version 7.3 are read piece by piece, so a file may be larger than memory.
-    The first block raises TripError if the file cannot be read, or a column is missing, ambiguous
-    or not numeric.
+    datetime64[ns] for time stamps. Nothing is ever unpickled. The first block raises TripError if
+    the file cannot be read, or a column is missing, ambiguous or not numeric.
     """
     with open_file(path, csv) as file:
         yield from read_columns(path, file, columns)
@@ -97,34 +93,16 @@ def _named(path: Path) -> Iterator[None]:
         raise TripError(Finding("file-damaged", path=path, suffix=suffix, reason=reason)) from error
 
 
-@dataclass(frozen=True)
-class Format:
-    """One format of data files: the suffixes of its files, and the function that opens them.
-
-    `library` is a package that this function imports. It runs in a confined process, as binary
-    files declare sizes and may crash a library, unless `is_confined` is False.
-    """
-
-    suffixes: tuple[str, ...]
-    open: Reader
-    library: str | None = None
-    is_confined: bool = True
-
-
 CSV_SUFFIXES = (".csv", ".txt", ".tsv", ".asc")
-FORMATS = (
-    Format((".parquet",), open_parquet, "pandas"),  # Arrow imports it for its first array
-    Format(CSV_SUFFIXES, open_csv, is_confined=False),
-    Format((".mat",), open_mat, "h5py"),
-    Format((".h5", ".hdf5"), open_hdf5, "h5py"),
-    Format((".tdms",), open_tdms, "nptdms"),
-    Format((".mf4", ".mdf"), open_mdf, "asammdf"),
-    Format((".uff", ".unv"), open_uff, "pyuff"),
-    Format((".wav",), open_wav),
-)
-READERS: dict[str, Reader] = {
-    suffix: in_own_process(form.open, form.library) if form.is_confined else form.open
-    for form in FORMATS
-    for suffix in form.suffixes
+FORMATS: dict[tuple[str, ...], tuple[Reader, str | None]] = {
+    (".parquet",): (open_parquet, "pandas"),  # Arrow imports it for its first array
+    (".mat",): (open_mat, "scipy.io"),
+    (".tdms",): (open_tdms, "nptdms"),
+    (".mf4", ".mdf"): (open_mdf, "asammdf"),
+}
+"""Readers of binary files and the packages that they import, by suffixes: they run in confined
+processes, as binary files declare sizes and may crash a library."""
+READERS: dict[str, Reader] = dict.fromkeys(CSV_SUFFIXES, open_csv) | {
+    suffix: in_own_process(*reader) for suffixes, reader in FORMATS.items() for suffix in suffixes
 }
 """Readers by suffix."""

@@ -46,20 +46,10 @@ class FrameError(ValueError):
 class Frame:
     """Consecutive samples of one sensor; FrameError if a value is out of range or not finite.
 
-    Parameters
-    ----------
-    suspension : str
-        Its suspension, as its ``Place`` is written: "train 1, car 2, front, left".
-    sensor : str
-        The channel, followed by the side in a pair: "axle_box", "bogie left"; or "speed".
-    sequence : int
-        One more than that of the sensor's previous frame.
-    time_ns : int, [ns]
-        Time of the first sample, since 1970 in UTC.
-    rate_hz : float, [Hz]
-    unit : str
-        Unit of the samples, as files write it: "m/s2", "g", "km/h".
-    samples : array of shape (n_samples,), float32 or float64, [unit]
+    `suspension` is written as its ``Place``: "train 1, car 2, front, left". `sensor` is the
+    channel, followed by the side in a pair: "axle_box", "bogie left"; or "speed". `sequence` is one
+    more than that of the sensor's previous frame. `time_ns` is that of the first sample, since 1970
+    in UTC. `unit` is that of `samples` (n_samples,), float32 or float64, as files write it.
     """
 
     suspension: str

@@ -1,52 +1,167 @@
-"""Channels of TDMS, UFF and WAV files, with the rates, units and times that they state."""
+"""Channels of MDF 4 and TDMS files, with their arithmetic conversions; no formula is evaluated."""
 
 from __future__ import annotations
 
 import re
-import warnings
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from importlib import import_module
+from io import BytesIO
 from itertools import pairwise
-from logging import CRITICAL, getLogger
 from pathlib import Path
-from threading import Lock
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
-from scipy.io import wavfile
 
 from suspnet.ground.extras import import_extra
 from suspnet.ground.findings import Finding
 from suspnet.ground.types import FloatArray
-from suspnet.trains.recordings.columns import (
-    BLOCK,
-    MOST_DRIFT,
-    Block,
-    Column,
-    OpenFile,
-    Take,
-    as_block,
-    check_samples,
-    size_of,
-    slices,
-)
+from suspnet.trains.recordings.columns import MOST_DRIFT, Block, Column, OpenFile, Take, slices
+from suspnet.trains.recordings.dates import nanoseconds
 from suspnet.trains.recordings.errors import TripError
 
-_WAV = Lock()
-"""Lock for warning filters, which are global to the process, while sensors are read in threads."""
-BEXT_DATE = slice(320, 338)
-"""Bytes of the chunk `bext` that hold date and time of day, yyyy-mm-dd and hh:mm:ss."""
-TIME_RESPONSE = 1
-"""Function type of a time record in a data set 58 of a universal file."""
-ACCELERATION, TIME = 12, 17
-"""Kinds of ordinate and abscissa of a data set 58."""
-LENGTHS = {1: "m", 2: "ft", 3: "m", 4: "ft", 5: "mm", 6: "cm", 7: "in", 8: "mm", 10: "mm"}
-"""Unit of lengths by the code of a data set 164, which holds where a data set 58 names no unit."""
+APPLIED = (0, 1)
+"""Numbers of the conversions that are applied: none and linear."""
+REFUSED = {
+    **{2: "rational", 3: "algebraic (a formula)", 4: "table", 5: "table", 6: "table of ranges"},
+    **{7: "value-to-text", 8: "range-to-text", 9: "text-to-value", 10: "text-to-text"},
+    11: "bit-field-to-text",
+}
+"""Names of the other conversions by their numbers."""
+VIRTUAL = (3, 6)
+"""Types of channels whose raw values are the record numbers."""
+TIME = 1
+"""Kind of masters that are times."""
+NO_TIMES = {2: "angle", 3: "distance"}
+"""Kinds of masters along which channels are not sampled in time."""
+ALL_INVALID = 1
+"""Flag of channels without a valid sample."""
+
+
+@contextmanager
+def open_mdf(path: Path) -> Iterator[OpenFile]:
+    """Open an MDF file; each channel group has its own times."""
+    asammdf = import_extra("asammdf", "mdf", f"{path}: an MDF file", TripError)
+    _disarm()
+    with path.open("rb") as stream:
+        version = stream.read(12)[8:].decode("latin-1")
+    if "0" < version < "4":
+        raise TripError.at(path, "mdf-too-old", version=version)
+    with asammdf.MDF(path, process_bus_logging=False) as file:
+        places: dict[str, tuple[int, int]] = {}
+        columns: list[Column] = []
+        n_of_name = Counter(channel.name for group in file.groups for channel in group.channels)
+        for g, group in enumerate(file.groups):
+            names = [
+                f"group_{g}/{channel.name}" if n_of_name[channel.name] > 1 else channel.name
+                for channel in group.channels
+            ]
+            places |= {name: (g, c) for c, name in enumerate(names)}
+            columns += _columns(file, g, names)
+
+        def read(names: Sequence[str]) -> Iterator[Block]:
+            groups = {places[name][0] for name in names}
+            if len(groups) > 1:
+                raise TripError.at(path, "several-groups", names=list(names))
+            n_samples = int(file.groups[groups.pop()].channel_group.cycles_nr)
+            takes = {name: (n_samples, _take(path, file, name, *places[name])) for name in names}
+            return slices(path, names, takes)
+
+        yield OpenFile(tuple(columns), read, notes=_notes(file.header))
+
+
+def _columns(file: Any, g: int, names: Sequence[str]) -> Iterator[Column]:
+    start = _start(file)
+    master, kind = file.masters_db.get(g), TIME
+    if master is not None:
+        kind = file.groups[g].channels[master].sync_type or TIME
+    for c, (name, channel) in enumerate(zip(names, file.groups[g].channels, strict=True)):
+        unit, refused = _unit(channel), _refused(channel)
+        if c == master:
+            unit = unit or ("s" if kind == TIME else None)
+            yield Column(name, unit=unit, unread=refused, is_local=start.get("is_local", False))
+            continue
+        if by := NO_TIMES.get(kind):
+            refused = Finding("not-along-time", by=by, names=repr(names[master]))
+        time = names[master] if master is not None and kind == TIME else None
+        yield Column(name, unit=unit, time=time, unread=refused, **start)
+
+
+def _start(file: Any) -> dict[str, Any]:
+    if (start_ns := nanoseconds(file.start_time)) <= 0:
+        return {}
+    return {"start_ns": start_ns, "is_local": file.start_time.tzinfo is None}
+
+
+def _unit(channel: Any) -> str | None:
+    other = getattr(channel.conversion, "unit", None) if channel.unit_addr == 0 else None
+    return channel.unit or other or None
+
+
+def _refused(channel: Any) -> str:
+    if channel.conversion is None:  # asammdf also leaves out one that it cannot read
+        return Finding("damaged-conversion") if channel.conversion_addr else ""
+    number = int(channel.conversion.conversion_type)
+    if number in APPLIED:
+        return ""
+    what = REFUSED.get(number, Finding("number-of-kind", n=number))
+    return Finding("conversion-not-applied", what=what)
+
+
+def _notes(header: Any) -> tuple[str, ...]:
+    properties = getattr(header, "_common_properties", None) or {}
+    properties = {"vehicle": getattr(header, "subject", "")} | properties
+    lines = [f"{name}: {value}" for name, value in properties.items() if value]
+    comment = str(getattr(header, "comment", "") or getattr(header, "description", ""))
+    return (*lines, *re.sub(r"<[^<>]*>", "\n", comment).splitlines())
+
+
+def _disarm() -> None:
+    """Disable evaluation of formulas and temporary files in asammdf.
+
+    It would open an unused temporary file for each file that it reads.
+    """
+
+    def refuse(*_: Any, **__: Any) -> NoReturn:
+        raise ValueError("a formula in the file is not evaluated")
+
+    replaced = {"evaluate": refuse, "lambdify": refuse}
+    for name in ("NamedTemporaryFile", "TemporaryFile"):
+        replaced[name] = lambda *_, **__: BytesIO()  # type: ignore[assignment]
+    for part in ("mdf_v3", "mdf_v4", "v2_v3_blocks", "v4_blocks"):
+        module = import_module(f"asammdf.blocks.{part}")
+        for name in replaced.keys() & vars(module).keys():
+            setattr(module, name, replaced[name])
+
+
+def _take(path: Path, file: Any, name: str, group: int, index: int) -> Take:
+    channel = file.groups[group].channels[index]
+
+    def take(rows: slice) -> FloatArray:
+        # raw values, and the mask of invalid ones, which would otherwise be left out
+        how = {"samples_only": True, "raw": True, "ignore_invalidation_bits": True}
+        records = {"record_offset": rows.start, "record_count": rows.stop - rows.start}
+        values, invalid = file.get(group=group, index=index, **how, **records)
+        if values.dtype.kind not in "iufb" or values.ndim != 1:
+            raise TripError.at(path, "column-not-numbers", name=repr(name), dtype=values.dtype)
+        if channel.channel_type in VIRTUAL:
+            values = np.arange(rows.start, rows.stop, dtype=np.float64)
+        values = np.array(values, dtype=np.float64)
+        if channel.conversion is not None:
+            values = np.asarray(channel.conversion.convert(values))
+        if channel.flags & ALL_INVALID:
+            values[:] = np.nan
+        elif invalid is not None:
+            values[np.asarray(invalid, dtype=np.bool_)] = np.nan
+        return values
+
+    return take
+
+
 LEAST_GAP_S = 1e-3
-"""Least sum of the times from the end of a segment of a TDMS file to the start of the next, [s]:
-less is inexact time stamps."""
+"""Least time between the end of a segment of a TDMS file and the start of the next that is a gap,
+[s]: less is inexact time stamps."""
 _FIXED = re.compile("wf_increment|unit_string|NI_(Scal|Unit|Number_Of_S)")
 """Properties of a TDMS channel that must be the same in all segments: rate, unit and scales."""
 Stated = list[tuple[int, dict[str, Any]]]
@@ -57,7 +172,6 @@ Stated = list[tuple[int, dict[str, Any]]]
 def open_tdms(path: Path) -> Iterator[OpenFile]:
     """Open a TDMS file; columns are named "group/channel"."""
     nptdms = import_extra("nptdms", "tdms", f"{path}: a TDMS file", TripError)
-    getLogger("nptdms").setLevel(CRITICAL)  # it logs what it raises or repairs
     # Open the stream here because npTDMS does not close files that it fails to read.
     with path.open("rb") as stream, ExitStack() as stack:
         with _properties_of_segments() as stated:
@@ -72,13 +186,8 @@ def open_tdms(path: Path) -> Iterator[OpenFile]:
         for name, channel in zip(names, channels, strict=True):
             # "a/b" and "c" are called as "a" and "b/c": TDMS itself writes these as paths
             name = channel.path if n_of_name[name] > 1 else name
-            column, starts = _tdms_column(name, channel, stated.get(channel.path, []))
-            columns.append(column)
+            columns.append(_tdms_column(name, channel, stated.get(channel.path, [])))
             takes[name] = len(channel), channel.__getitem__
-            if column.time is not None:
-                columns.append(Column(column.time, unit="s", is_by_name=True))
-                takes[column.time] = len(channel), _times_of_segments(starts, channel)
-
         notes = tuple(f"{name}: {value}" for name, value in file.properties.items())
         yield OpenFile(tuple(columns), lambda names: slices(path, names, takes), notes=notes)
 
@@ -103,34 +212,26 @@ def _properties_of_segments() -> Iterator[dict[str, Stated]]:
         reader._read_segment_metadata = original
 
 
-def _tdms_column(name: str, channel: Any, stated: Stated) -> tuple[Column, list[tuple[int, float]]]:
-    """Return a channel, and the first sample and the time of each stretch of it, [s].
-
-    There is one stretch unless the logger was stopped and started again.
-    """
+def _tdms_column(name: str, channel: Any, stated: Stated) -> Column:
     properties = channel.properties
     step_s = properties.get("wf_increment")
     unit = properties.get("unit_string") or properties.get("NI_UnitDescription")
     kind = np.dtype(channel.dtype)
     has_rate = isinstance(step_s, float | int) and 1e-9 < step_s < 1e9
     starts_ns = _starts_ns(stated, len(channel))
-    starts, overlap = _stretches(starts_ns, step_s) if has_rate else ([], "")
-    is_read = kind.kind in "iufM"
-    column = Column(
+    unread = _changed(stated) or (_interrupted(starts_ns, step_s) if has_rate else "")
+    return Column(
         name,
         unit=str(unit) if unit else None,
         rate_hz=1 / step_s if has_rate else None,
-        time=f"{name}: times" if len(starts) > 1 else None,
         start_ns=starts_ns[0][1] if starts_ns else None,
         is_time=kind.kind == "M",
         is_zoned=kind.kind == "M",  # LabVIEW writes time stamps in UTC
-        unread=(_changed(stated) or overlap) if is_read else f"holds {kind}, not numbers",
+        unread=unread if kind.kind in "iufM" else f"holds {kind}, not numbers",
     )
-    return column, starts
 
 
 def _changed(stated: Stated) -> str:
-    """Return which property that must be one in all segments is not; empty if none."""
     first: dict[str, str] = {}
     for _, properties in stated:
         for key, value in properties.items():
@@ -139,25 +240,17 @@ def _changed(stated: Stated) -> str:
     return ""
 
 
-def _stretches(
-    starts_ns: Sequence[tuple[int, int]], step_s: float
-) -> tuple[list[tuple[int, float]], str]:
-    """Return the first sample and the time of each stretch of a channel, [s], and which overlap."""
-    stretches = [(0, 0.0)]
-    least_s = max(LEAST_GAP_S, step_s / 2)
-    for (n, ns), (n_next, next_ns) in pairwise(starts_ns):
-        end_ns = ns + round(1e9 * (n_next - n) * step_s)
-        gap_s = (next_ns - end_ns) / 1e9
-        n_last, last_s = stretches[-1]
-        length_s = (n_next - n_last) * step_s
-        start_s = (next_ns - starts_ns[0][1]) / 1e9
-        late_s = start_s - last_s - length_s  # short pauses and overlaps add up
-        if min(gap_s, late_s + MOST_DRIFT * length_s) < -least_s:
-            before, after = (np.datetime64(round(ns / 1000), "us") for ns in (end_ns, next_ns))
-            return stretches, Finding("segments-overlap", before=before, after=after)
-        if late_s > least_s:
-            stretches.append((n_next, start_s))
-    return stretches, ""
+def _interrupted(starts_ns: Sequence[tuple[int, int]], step_s: float) -> str:
+    """Return where a segment does not follow the one before it, nor the first; empty if all do."""
+    for previous, (n_next, next_ns) in pairwise(starts_ns):
+        for n, ns in (previous, starts_ns[0]):  # short pauses add up
+            length_s = (n_next - n) * step_s
+            late_s = (next_ns - ns) / 1e9 - length_s
+            if abs(late_s) > max(LEAST_GAP_S, step_s / 2) + MOST_DRIFT * length_s:
+                end_ns = next_ns - round(1e9 * late_s)
+                before, after = (np.datetime64(round(at / 1000), "us") for at in (end_ns, next_ns))
+                return Finding("segments-interrupted", before=before, after=after)
+    return ""
 
 
 def _starts_ns(stated: Stated, n_samples: int) -> list[tuple[int, int]]:
@@ -177,131 +270,3 @@ def _starts_ns(stated: Stated, n_samples: int) -> list[tuple[int, int]]:
             starts.pop()
         starts.append((n if starts else 0, ns))
     return starts
-
-
-def _times_of_segments(starts: Sequence[tuple[int, float]], channel: Any) -> Take:
-    """Return the function that takes times of a channel of several stretches, [s]."""
-    firsts, starts_s = np.array(starts).T
-    step_s = channel.properties["wf_increment"]
-
-    def take(rows: slice) -> FloatArray:
-        numbers = np.arange(rows.start, rows.stop)
-        i = np.searchsorted(firsts, numbers, side="right") - 1
-        return np.asarray(starts_s[i] + (numbers - firsts[i]) * step_s)
-
-    return take
-
-
-@contextmanager
-def open_uff(path: Path) -> Iterator[OpenFile]:
-    """Open a universal file; each time record of type 58 is a column, which is read whole."""
-    pyuff = import_extra("pyuff", "uff", f"{path}: a universal file", TripError)
-    file = pyuff.UFF(str(path))
-    columns, records = _uff_columns(file)
-
-    def read(names: Sequence[str]) -> Iterator[Block]:
-        takes: dict[str, tuple[int, Take]] = {}
-        for name in names:
-            is_times = name not in records
-            record = file.read_sets(records[name.removesuffix(": times")])
-            values = np.asarray(record["x" if is_times else "data"]).ravel()
-            n_declared = int(record["num_pts"])
-            if len(values) < n_declared:
-                sizes = {"n_declared": n_declared, "n_values": len(values)}
-                raise TripError.at(path, "column-cut-off", name=repr(name), **sizes)
-            takes[name] = n_declared, values.__getitem__  # what follows fills up a line
-        return slices(path, names, takes)
-
-    yield OpenFile(tuple(columns), read)
-
-
-def _uff_columns(file: Any) -> tuple[list[Column], dict[str, int]]:
-    """Return the columns of a universal file, and their record numbers by name."""
-    records: dict[str, int] = {}
-    columns: list[Column] = []
-    length = None
-    for i, kind in enumerate(file.get_set_types()):
-        if kind == 164:
-            length = LENGTHS.get(int(file.read_sets(i)["units_code"]))
-        header = file.read_sets(i, header_only=True) if kind == 58 else {}
-        if header.get("func_type") != TIME_RESPONSE:
-            continue
-        name = _text(header, "id1")
-        if not name or name in records:
-            name = f"record_{i + 1}"
-        records[name] = i
-        columns += _uff_record(name, header, length)
-    return columns, records
-
-
-def _uff_record(name: str, header: Mapping[str, Any], length: str | None) -> Iterator[Column]:
-    """Yield the column of a time record, and that of its times if they are not even from 0 on."""
-    unit, along = (_text(header, f"{axis}_axis_units_lab") for axis in ("ordinate", "abscissa"))
-    if not unit and length and header.get("ordinate_spec_data_type") == ACCELERATION:
-        unit = f"{length}/s2"
-    refused = ""
-    if header.get("abscissa_spec_data_type") not in (None, 0, 1, TIME):  # 0, 1: unknown, general
-        refused = Finding("not-of-time")
-    elif header.get("ord_data_type") in (5, 6):
-        refused = Finding("not-real", kind=np.dtype(complex))
-    date = _text(header, "id3") or None
-    about: dict[str, Any] = {"unit": unit or None, "date": date, "unread": refused}
-    step_s = float(header.get("abscissa_inc") or 0.0) * (size_of("time", along or "s") or 0.0)
-    if header.get("abscissa_spacing") == 1 and not float(header.get("abscissa_min") or 0.0):
-        yield Column(name, rate_hz=1 / step_s if step_s > 0 else None, **about)
-        return
-    times = f"{name}: times"
-    yield Column(name, time=times, **about)
-    yield Column(times, unit=along or "s", is_by_name=True)
-
-
-def _text(header: Mapping[str, Any], key: str) -> str:
-    """Return a text of a header; empty where it is "NONE"."""
-    text = str(header.get(key, "")).strip()
-    return "" if text.upper() == "NONE" else text
-
-
-@contextmanager
-def open_wav(path: Path) -> Iterator[OpenFile]:
-    """Open a WAV file; columns are "channel_1" etc., integers are fractions of full scale."""
-    with _WAV, warnings.catch_warnings(), path.open("rb") as stream:
-        warnings.simplefilter("ignore", wavfile.WavFileWarning)  # of unknown chunks
-        warnings.filterwarnings("error", "Reached EOF", wavfile.WavFileWarning)
-        try:
-            rate_hz, data = wavfile.read(stream, mmap=True)
-        except ValueError as error:
-            if "not compatible" not in str(error):
-                raise
-            stream.seek(0)
-            rate_hz, data = wavfile.read(stream)  # 24 bits cannot be mapped to memory
-    check_samples(path, len(data))
-    data = data[:, None] if data.ndim == 1 else data
-    names = [f"channel_{i + 1}" for i in range(data.shape[1])]
-    full_scale, zero = None, 0.0
-    if data.dtype.kind in "iu":
-        zero = 128.0 if data.dtype.kind == "u" else 0.0
-        full_scale = 2.0 ** (8 * data.dtype.itemsize - 1)
-    about: dict[str, Any] = {"full_scale": full_scale, "date": _bext_date(path)}
-    columns = [Column(n, rate_hz=float(rate_hz), is_whole_rate=True, **about) for n in names]
-
-    def read(chosen: Sequence[str]) -> Iterator[Block]:
-        places = [names.index(name) for name in chosen]
-        for start in range(0, len(data), BLOCK):
-            block = as_block(data[start : start + BLOCK])
-            block = block if full_scale is None else (block - zero) / full_scale
-            yield tuple(np.ascontiguousarray(block[:, i]) for i in places)
-
-    yield OpenFile(tuple(columns), read)
-
-
-def _bext_date(path: Path) -> str | None:
-    """Return the date of origin in a broadcast WAV file's chunk `bext`; None without one."""
-    with path.open("rb") as stream:
-        stream.seek(12)  # after RIFF, size and WAVE
-        while len(head := stream.read(8)) == 8:  # ends: each round advances
-            size = int.from_bytes(head[4:], "little")
-            if head[:4] == b"bext":
-                text = stream.read(min(size, BEXT_DATE.stop))[BEXT_DATE].decode("ascii", "replace")
-                return f"{re.sub('[_:. ]', '-', text[:10])} {text[10:].strip()}"
-            stream.seek(size + size % 2, 1)
-    return None

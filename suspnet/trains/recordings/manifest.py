@@ -16,26 +16,24 @@ from typing import Literal
 from suspnet.ground.findings import Finding, of
 from suspnet.ground.parameters import DIRECTIONS, ENDS, ESTIMATED, SIDES
 from suspnet.ground.records import HIGHEST_KM, MOST_NAME, Place
-from suspnet.trains.recordings import manifest_keys as check
+from suspnet.trains.recordings import manifest_sources as check
 from suspnet.trains.recordings.errors import TripError, all_of
-from suspnet.trains.recordings.manifest_keys import (
-    ManifestKey,
-    Value,
-    key,
-    keys_of,
-    optional,
-    required,
-)
 from suspnet.trains.recordings.manifest_sources import (
     MIDDLE,
     OTHER_AXLE,
     SPEED_UNITS,
     FileSource,
+    ManifestKey,
     Pair,
     SensorSource,
     Several,
     SpeedSource,
+    Value,
+    key,
+    keys_of,
+    optional,
     partner_of,
+    required,
 )
 
 FORMAT = "suspnet-trip-1"
@@ -53,7 +51,6 @@ _CONSTANT_SPEED = re.compile(r"([1-9]\d{0,2}(?:\.\d+)?) *(m/s|km/h)")
 
 
 def _speed(value: Value) -> float | SpeedSource:
-    """Return a constant speed [m/s] or where the speed is stored."""
     content = value.content
     if isinstance(content, str) and (match := _CONSTANT_SPEED.fullmatch(content.strip())):
         return float(match[1]) * SPEED_UNITS[match[2]]
@@ -71,7 +68,6 @@ def _sensor(value: Value) -> SensorSource:
 
 
 def _sensors(value: Value) -> SensorSource | Several:
-    """Return one sensor, or several: at each axle one, or a pair."""
     if not isinstance(value.content, list):
         return _sensor(value)
     n = len(value.content)
@@ -91,19 +87,18 @@ def _sensors(value: Value) -> SensorSource | Several:
 
 def _pair(value: Value, places: Sequence[int], both: Sequence[SensorSource]) -> Pair:
     """Return two sensors, left first, whose missing sides are inferred: the first is left."""
+    left, right = SIDES
     for place, sensor in zip(places, both, strict=True):
         if sensor.side == MIDDLE:
             check.one_of(SIDES)(value.at(place).at("side"))
-    first, second = both
-    left, right = SIDES
-    if first.side is None:
-        first = replace(first, side=left if second.side in (None, right) else right)
-    if second.side is None:
-        second = replace(second, side=left if first.side == right else right)
-    if first.side == second.side:
-        kind = "two-on-left" if first.side == left else "two-on-right"
+    first, second = (sensor.side for sensor in both)
+    first = first or (left if second != left else right)
+    second = second or (left if first == right else right)
+    if first == second:
+        kind = "two-on-left" if first == left else "two-on-right"
         raise TripError.at(value.path, kind, name=value.name)
-    return (first, second) if first.side == left else (second, first)
+    pair = replace(both[0], side=first), replace(both[1], side=second)
+    return pair if first == left else (pair[1], pair[0])
 
 
 def _channels(value: Value) -> dict[str, SensorSource | Several]:

@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from suspnet.ground.core_yaml import MOST_BYTES, dump_yaml, parse_yaml
-from suspnet.ground.findings import Finding, at, together
+from suspnet.ground.findings import Finding, at
 from suspnet.ground.parameters import ENDS, SIDES
 from suspnet.ground.records import MOST_NAME, Place
 from suspnet.ground.storage import one_line, read_json, read_plain, why, write_atomically
 from suspnet.ground.wording import command
 from suspnet.trains.recordings.errors import TripError, all_of, opening
 from suspnet.trains.recordings.manifest import FORMAT, MANIFEST, TripManifest
-from suspnet.trains.recordings.manifest_keys import Value, keys_of
+from suspnet.trains.recordings.manifest_sources import Value, keys_of
 
 NAMES = ("vehicle", "suspension", "train", "car")
 """Keys of names, which may be numbers."""
@@ -122,7 +122,6 @@ class ManifestFile:
         }
 
     def _check_files(self) -> None:
-        """Raise TripError if a named data file is missing."""
         folder = self.path.parent
         problems = [
             at(self.path, "no-data-file", key=key, source=repr(source["file"]), folder=folder)
@@ -145,14 +144,12 @@ def _parsed(path: Path, content: Any) -> TripManifest:
 
 
 def _with_file(source: Any) -> Any:
-    """Return a source, or a pair of them, with a placeholder for a missing `file`."""
     if isinstance(source, list):
         return [_with_file(sensor) for sensor in source]
     return {"file": "frames"} | source if isinstance(source, dict) else source
 
 
 def _check_columns(manifest: TripManifest) -> None:
-    """Raise TripError if two sensors name the same column of the same file."""
     places: dict[tuple[Path, str | None], str] = {}
     for name, sensor in manifest.sensors().items():
         other = places.setdefault((manifest.file_of(sensor).resolve(), sensor.column), name)
@@ -173,7 +170,6 @@ def write_manifest(manifest: TripManifest) -> Path:
 
 
 def _written(value: Any) -> Any:
-    """Return a value as lists, mappings, text and numbers, without entries that are None."""
     if is_dataclass(value) and not isinstance(value, type):
         value = asdict(value)
     if isinstance(value, dict):
@@ -202,31 +198,21 @@ def find_trips(paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
     problems = []
     for path in paths:
         try:
-            manifests += _manifests(path)
+            manifests += _manifests(path) or find_manifests(path)
         except OSError as error:
             problems.append(why(error))
     return list(dict.fromkeys(manifests)), problems
 
 
 def _manifests(path: Path) -> list[Path]:
-    """Return the manifests of one file or folder; OSError if there are none."""
-    if not path.is_dir():
-        if not os.path.lexists(path):
-            raise FileNotFoundError(Finding("no-file-or-folder", path=path))
-        if path.suffix not in (".yaml", ".yml"):
-            raise OSError(Finding("no-manifest", path=path, value=command("init", path)))
-        return [path]
-    if not any(path.glob("*.yaml")):
-        folders = sorted(
-            folder for folder in path.iterdir() if folder.is_dir() and folder.name[0] != "."
-        )
-        inside = [file for one in folders for file in sorted(one.glob("*.yaml")) if file.is_file()]
-        if inside:
-            return inside
-        others = sorted(file.name for file in path.glob("*.yml"))
-        if others:
-            raise OSError(Finding("only-yml-files", path=path, others=together(others[:5], ", ")))
-    return find_manifests(path)
+    if path.is_dir():
+        below = (p for p in path.glob("*/*.yaml") if p.is_file() and p.parent.name[0] != ".")
+        return find_manifests(path) if any(path.glob("*.yaml")) else sorted(below)
+    if not os.path.lexists(path):
+        raise FileNotFoundError(Finding("no-file-or-folder", path=path))
+    if path.suffix not in (".yaml", ".yml"):
+        raise OSError(Finding("no-manifest", path=path, value=command("init", path)))
+    return [path]
 
 
 def partial_words(folder: Path) -> str:

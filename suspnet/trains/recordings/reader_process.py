@@ -1,11 +1,11 @@
 """Readers in separate processes: a file that crashes or hangs its reader only causes an error.
 
-Libraries for binary formats crash on some damaged files, or
-never return, and some execute what a file contains: run a formula, read other
-files. Each file is therefore read in a separate process that can do nothing else (`reader_server`).
-It opens the file or reads the next block on request; each of these steps has a time limit. The
-processes are forked from a server that has imported the libraries. Requests and answers are lines
-of JSON; the bytes of arrays follow an answer. Nothing is unpickled.
+Libraries for binary formats crash on some damaged files, or never return, and some execute what a
+file contains: run a formula, read other files. Each file is therefore read in a separate process
+that can do nothing else (`reader_server`). It opens the file or reads the next block on request;
+each of these steps has a time limit. The processes are forked from a server that has imported the
+libraries. Requests and answers are lines of JSON; the bytes of arrays follow an answer. Nothing is
+unpickled.
 """
 
 from __future__ import annotations
@@ -46,20 +46,19 @@ log = logging.getLogger(__name__)
 LIMIT = "SUSPNET_READER_S"
 """Environment variable: longest time to open a file or to read its next block, [s].
 
-A block has 262,144 samples, but is a whole column in UFF files and MAT files before version 7.3."""
+A block has 262,144 samples, but is a whole column in MAT files."""
 CRASH_S = 5.0
 """Longest time a process may take to exit after it has closed its connection, [s]."""
 DTYPES = ("float64", "datetime64[ns]")
 """Types of the arrays of a block."""
 PASSED = re.compile(
-    r"PATH|HOME|TMPDIR|TZ|LANG|LANGUAGE|LD_LIBRARY_PATH|HDF5_USE_FILE_LOCKING|\w+_NUM_THREADS"
+    r"PATH|HOME|TMPDIR|TZ|LANG|LANGUAGE|LD_LIBRARY_PATH|\w+_NUM_THREADS"
     r"|(LC|PYTHON|MKL|NPY|MALLOC)_?\w+"
 )
 """Environment variables that reader processes get: none with a secret."""
 ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "NUMEXPR_NUM_THREADS": "1",
-    "HDF5_PLUGIN_PRELOAD": "::",  # HDF5 loads no filter plug-ins
 }
 """Environment variables of reader processes, in addition."""
 
@@ -98,7 +97,6 @@ def in_own_process(reader: Reader, library: str | None = None) -> Reader:
                 ),
                 read=read,
                 words=restored(description["words"]),
-                hint=restored(description["hint"]),
                 notes=tuple(description["notes"]),
             )
         finally:
@@ -113,8 +111,6 @@ def _warn_once(missing: str) -> None:
 
 
 class _Server:
-    """Client of the server from which reader processes are forked."""
-
     def __init__(self) -> None:
         path = f"import sys; sys.path[:] = {[str(folder) for folder in sys.path]}; "
         self._control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -147,7 +143,6 @@ _lock = threading.Lock()
 
 
 def _started(request: dict[str, Any], handles: Sequence[int]) -> int:
-    """Return the id of a new reader process; start the server if there is none."""
     with _lock:
         if (server := _servers.get(os.getpid())) is not None:
             with suppress(OSError, ValueError):
@@ -173,8 +168,6 @@ def end_all() -> None:
 
 
 class _Process:
-    """Client of the reader process of one file."""
-
     def __init__(self, path: Path, function: Sequence[str], library: str | None) -> None:
         self.path = path
         self._is_late = False
@@ -221,7 +214,6 @@ class _Process:
         return answer, arrays
 
     def _exchange(self, request: dict[str, Any]) -> tuple[dict[str, Any], Block]:
-        """Send a request and return the answer; OSError or ValueError if none comes."""
         self._requests.write(json.dumps(request).encode() + b"\n")
         self._requests.flush()
         answer = json.loads(self._answers.readline())
@@ -242,7 +234,6 @@ class _Process:
             os.kill(self._pid, signal.SIGKILL)
 
     def _ending(self) -> str:
-        """Return a message on why the process ended; a file that took too long is remembered."""
         code = self.end(CRASH_S)
         if self._is_late or code == -signal.SIGALRM:
             late = at(self.path, "reader-late", limit_s=self._limit_s, variable=LIMIT)
@@ -267,13 +258,11 @@ class _Process:
 
 
 def _state(path: Path) -> tuple[str, int, int]:
-    """Return what identifies the content of a file: path, size and time of change."""
     stat = path.stat()
     return str(path), stat.st_size, stat.st_mtime_ns
 
 
 def _limit_s(n_bytes: int) -> float:
-    """Return the time limit of one step, [s]; TripError if the environment variable is invalid."""
     text = os.environ.get(LIMIT, "")
     if not text:
         return step_s(n_bytes)

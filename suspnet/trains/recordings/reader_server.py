@@ -61,7 +61,6 @@ def serve() -> None:
 
 
 def _fork(request: dict[str, Any], handles: Sequence[int], control: socket.socket) -> int:
-    """Fork a confined process that reads a file, and return its id."""
     # import in the server, so that each process need not do it again
     module, name = request["function"]
     reader = getattr(importlib.import_module(module), name)
@@ -83,7 +82,6 @@ def _fork(request: dict[str, Any], handles: Sequence[int], control: socket.socke
 
 
 def _end(pid: int, grace_s: float) -> int:
-    """Wait up to `grace_s` for a process to exit, kill it otherwise; return its exit code."""
     last = time.monotonic() + grace_s
     with suppress(ChildProcessError):  # it belongs to another server, from before a fork
         while not (ended := os.waitpid(pid, os.WNOHANG))[0]:
@@ -97,7 +95,6 @@ def _end(pid: int, grace_s: float) -> int:
 
 
 def _serve_file(reader: Reader, path: Path, connection: int, missing: Sequence[str]) -> None:
-    """Answer requests until the client closes the connection."""
     with (
         os.fdopen(connection, "rb", closefd=False) as requests,
         os.fdopen(connection, "wb", closefd=False) as answers,
@@ -115,7 +112,6 @@ def _serve_file(reader: Reader, path: Path, connection: int, missing: Sequence[s
 def _answers(
     reader: Reader, path: Path, requests: IO[bytes]
 ) -> Iterator[tuple[dict[str, Any], Block]]:
-    """Yield the answer to each request: its values and arrays."""
     with ExitStack() as stack:
         file, blocks = OpenFile((), lambda _: iter(())), dict[int, Iterator[Block]]()
         for line in requests:
@@ -143,17 +139,14 @@ def _answers(
 
 
 def _description(file: OpenFile) -> dict[str, Any]:
-    """Return an open file but its blocks as JSON-able values."""
     return {
         "columns": [asdict(column) | {"unread": stored(column.unread)} for column in file.columns],
         "words": stored(file.words),
-        "hint": stored(file.hint),
         "notes": short_lines(file.notes)[:MOST_NOTES],
     }
 
 
 def _pieces(blocks: Iterator[Block]) -> Iterator[Block]:
-    """Yield blocks cut into pieces of at most ``MOST_BLOCK_BYTES``."""
     for block in blocks:
         most = max(MOST_BLOCK_BYTES // 8 // max(len(block), 1), 1)
         for start in range(0, len(block[0]), most):
@@ -241,7 +234,6 @@ def confine(descriptor: int, path: Path, memory_bytes: int) -> list[str]:
 
 
 def _code_folders() -> list[str]:
-    """Return the folders of Python's code and of the libraries that it loads."""
     prefixes = tuple({f"{os.path.realpath(root)}/lib" for root in (sys.prefix, sys.base_prefix)})
     packages = [
         folder

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from functools import partial
+from functools import cached_property, partial
 from itertools import chain
 from typing import Any
 
@@ -27,11 +27,16 @@ from suspnet.ground.wording import ShortRepr
 from suspnet.trains.recordings.cleaning import Cleaner, Fault
 from suspnet.trains.recordings.clock_drift import clock_faults
 from suspnet.trains.recordings.clocks import first_moment, offsets_s
-from suspnet.trains.recordings.dead_sensors import DEAD, dead_faults, living, nearly_dead
+from suspnet.trains.recordings.dead_sensors import (
+    DEAD,
+    dead_faults,
+    find_loose,
+    living,
+    nearly_dead,
+)
 from suspnet.trains.recordings.errors import TripError, all_of
-from suspnet.trains.recordings.loose import find_loose
 from suspnet.trains.recordings.manifest import CHANNELS, TripManifest
-from suspnet.trains.recordings.manifest_sources import TIME_UNITS, channel_of, partner_of
+from suspnet.trains.recordings.manifest_sources import channel_of
 from suspnet.trains.recordings.sensor import PASS, SensorSignal, SensorStream
 from suspnet.trains.recordings.sources import open_source, zero_of
 from suspnet.trains.recordings.speed import SpeedTrack, read_speed, speed_at
@@ -50,87 +55,84 @@ HIGHEST_HZ = 1e6
 class Recording(ShortRepr):
     """One trip on one clock.
 
-    Attributes
-    ----------
-    signals : array of shape (3, n), [m/s2]
-        Accelerations in the order of ``CHANNELS``, with the signs of the manifest, zero phase and
-        gain 1 up to ``rate_hz / 4``. For a pair of sensors, (left + right) / 2. NaN without a
-        living sensor at axle 1.
-    usable : array of shape (n,)
-        False where an unrepaired fault affects a signal, or the speed is unknown.
-    speed_m_per_s : array of shape (n,), [m/s]
-        NaN where unknown.
-    faults : tuple of Fault
-        By channel and kind.
-    duration_s, start_s : float, [s]
-        ``n / rate_hz``, and the time of the first sample on the trip's clock, a multiple of
-        ``1 / rate_hz``.
-    paired : tuple of 3 bool
-        Which channels are pairs of sensors of which none is dead, in the order of ``CHANNELS``.
-    differences : array of shape (n_pairs, n), [m/s2]
-        (left - right) / 2 of each pair, in the order of ``CHANNELS``.
-    elsewhere : mapping of str to array of shape (n,), [m/s2]
-        Signals of the sensors at the bogie's other axle, by name.
-    words : str
-        How files were read, where this was detected, as in CSV files.
-    started : datetime or None
-        Start of the trip by the times and headers of its files; None if they do not state it.
-    faulty : mapping of str to array of shape (n,)
-        Where each sensor is not usable, by name; of those that have such times.
+    `values` are the signals (n,) of the living sensors, by the names of ``TripManifest.sensors``,
+    [m/s2], with the signs of the manifest, zero phase and gain 1 up to ``rate_hz / 4``. `usable`
+    (n,) is False where an unrepaired fault affects a signal, or the speed is unknown;
+    `speed_m_per_s` (n,) is NaN where unknown; `faulty` says where each sensor is not usable, by
+    name, of those that have such times. `faults` are by channel and kind. `duration_s` is
+    ``n / rate_hz``, `start_s` the time of the first sample on the trip's clock, a multiple of
+    ``1 / rate_hz``. `words` state how files were read, where this was detected, `started` the start
+    of the trip by the times and headers of its files; None if they do not state it.
     """
 
     manifest: TripManifest
     rate_hz: float
-    signals: FloatArray
+    values: Mapping[str, FloatArray]
     usable: BoolArray
     speed_m_per_s: FloatArray
     faults: tuple[Fault, ...]
     duration_s: float
     start_s: float = 0.0
-    paired: tuple[bool, bool, bool] = (False, False, False)
-    differences: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
-    elsewhere: Mapping[str, FloatArray] = field(default_factory=dict)
     words: str = ""
     started: datetime | None = None
     faulty: Mapping[str, BoolArray] = field(default_factory=dict)
 
+    @cached_property
+    def _places(self) -> list[dict[str, FloatArray]]:
+        """The sensors of each channel by name, left first."""
+        own = self.values.items()
+        return [{name: v for name, v in own if channel_of(name) == c} for c in CHANNELS]
+
+    @cached_property
+    def signals(self) -> FloatArray:
+        """Accelerations (3, n) in the order of ``CHANNELS``, [m/s2].
+
+        For a pair of sensors, (left + right) / 2. NaN without a living sensor at axle 1.
+        """
+        nothing = np.full(len(self.usable), np.nan)
+        places = self._places
+        return np.stack([np.mean([*own.values()], axis=0) if own else nothing for own in places])
+
+    @property
+    def paired(self) -> tuple[bool, bool, bool]:
+        """Which channels are pairs of sensors of which none is dead, by ``CHANNELS``."""
+        axle_box, bogie, body = (len(own) == len(SIDES) for own in self._places)
+        return axle_box, bogie, body
+
+    @property
+    def differences(self) -> FloatArray:
+        """(left - right) / 2 of each pair, (n_pairs, n), in the order of ``CHANNELS``, [m/s2]."""
+        pairs = [tuple(own.values()) for own in self._places if len(own) == len(SIDES)]
+        halves = [(left - right) / 2 for left, right in pairs]
+        return np.array(halves).reshape(len(halves), len(self.usable))
+
+    @property
+    def elsewhere(self) -> dict[str, FloatArray]:
+        """Signals of the sensors at the bogie's other axle, by name."""
+        return {name: signal for name, signal in self.values.items() if not channel_of(name)}
+
     def without(self, dead: str) -> Recording:
         """Return the recording as if a sensor were dead, usable where no other one is faulty."""
-        living = {name: signal for name, signal in self.sensors().items() if name != dead}
-        faulty = {name: where for name, where in self.faulty.items() if name != dead}
-        paired, signals, differences = _combined(living, len(self.usable))
         usable = np.isfinite(self.speed_m_per_s)
+        faulty = {name: where for name, where in self.faulty.items() if name != dead}
         for where in faulty.values():
             usable &= ~where
-        return replace(
-            self,
-            signals=signals,
-            usable=usable,
-            faults=(*self.faults, Fault(dead, DEAD, len(usable), self.duration_s, 0.0, True)),
-            paired=paired,
-            differences=differences,
-            elsewhere=_elsewhere(living),
-            faulty=faulty,
-        )
+        fault = Fault(dead, DEAD, len(usable), self.duration_s, 0.0, True)
+        values = {name: signal for name, signal in self.values.items() if name != dead}
+        faults = (*self.faults, fault)
+        return replace(self, values=values, usable=usable, faults=faults, faulty=faulty)
 
     def sensors(self) -> dict[str, FloatArray]:
-        """Return the signal (n,) of each living one of ``TripManifest.sensors``, by name."""
-        signals: dict[str, FloatArray] = {}
-        differences = iter(self.differences)
-        left, right = SIDES
-        for name, signal, is_pair in zip(CHANNELS, self.signals, self.paired, strict=True):
-            if is_pair:
-                half = next(differences)
-                signals |= {f"{name} {left}": signal + half, f"{name} {right}": signal - half}
-            elif name not in self.absent:
-                signals[self._alone.get(name, name)] = signal
-        return {**signals, **self.elsewhere}
+        """Return `values`, those of the bogie's other axle last."""
+        return {name: signal for own in self._places for name, signal in own.items()} | (
+            self.elsewhere
+        )
 
     @property
     def absent(self) -> tuple[str, ...]:
         """Channels without a living sensor at axle 1."""
-        firsts = zip(CHANNELS, self.signals[:, 0], strict=True)
-        return tuple(name for name, first in firsts if np.isnan(first))
+        places = zip(CHANNELS, self._places, strict=True)
+        return tuple(name for name, own in places if not own)
 
     @property
     def dead(self) -> tuple[str, ...]:
@@ -141,18 +143,11 @@ class Recording(ShortRepr):
     @property
     def sides(self) -> tuple[str | None, ...]:
         """Side of each channel's only sensor; None for a pair, in the middle, or if unknown."""
-        sensors = self.manifest.sensors()
-        sides: list[str | None] = []
-        for name, is_pair in zip(CHANNELS, self.paired, strict=True):
-            own = sensors.get(self._alone.get(name, name))
-            sides.append(None if is_pair or own is None else self.manifest.side_of(own))
-        return tuple(side if side in SIDES else None for side in sides)
-
-    @property
-    def _alone(self) -> dict[str, str]:
-        """Names of the sensors whose partners are dead, by channel."""
-        partners = map(partner_of, self.dead)
-        return {channel_of(name): name for name in partners if name and channel_of(name)}
+        sensors, sides = self.manifest.sensors(), []
+        for own in self._places:
+            side = self.manifest.side_of(sensors[next(iter(own))]) if len(own) == 1 else None
+            sides.append(side if side in SIDES else None)
+        return tuple(sides)
 
 
 def load_recording(manifest: TripManifest, rate_hz: float = 100.0) -> Recording:
@@ -162,21 +157,12 @@ def load_recording(manifest: TripManifest, rate_hz: float = 100.0) -> Recording:
     of more than ``LEAST_SENSORS``, is left out, with a fault. The result covers the time common to
     all sensors, less about ``8 / rate_hz`` at both ends, where the low-pass filter is incomplete.
 
-    Parameters
-    ----------
-    manifest : TripManifest
-    rate_hz : float, [Hz]
-        Rate of the result; signals are flat within 1e-4 up to a quarter of it.
+    Signals are flat within 1e-4 up to a quarter of `rate_hz`.
 
-    Raises
-    ------
-    TripError
-        If a file cannot be read, a rate is lower than `rate_hz`, too many sensors are constant or
-        have no usable sample, less than ``SHORTEST_S`` is common to all sensors, times
-        are wrong, or the speed is unknown throughout. Its `problems` are those of all sensors and
-        the speed.
-    ValueError
-        If `rate_hz` is not positive and finite.
+    Raises TripError if a file cannot be read, a rate is lower than `rate_hz`, too many sensors are
+    constant or have no usable sample, less than ``SHORTEST_S`` is common to all sensors, times are
+    wrong, or the speed is unknown throughout; its `problems` are those of all sensors and the
+    speed. ValueError if `rate_hz` is not positive and finite.
     """
     check_number("rate_hz", rate_hz, above=0)
     sensors = manifest.sensors()
@@ -245,19 +231,15 @@ def joined(
         raise TripError.at(manifest.path, "nowhere-usable", faults=reasons)
     faults += clock_faults(manifest, values, usable & ~silent, speed, rate_hz)
     read_as = [track.words if track else "", *(stream.words for stream in streams)]
-    paired, signals, differences = _combined(values, len(times_s))
     return Recording(
         manifest,
         rate_hz,
-        signals,
+        values,
         usable,
         speed,
         faults,
         duration_s,
         float(times_s[0]),
-        paired,
-        differences,
-        _elsewhere(values),
         together(dict.fromkeys(read_as)),
         faulty={name: where for name, where in faulty.items() if where.any()},
     )
@@ -276,40 +258,17 @@ def _clocks(
     return track, offsets_s(manifest, zeros), first_moment(zeros.values())
 
 
-def _combined(
-    values: Mapping[str, FloatArray], n: int
-) -> tuple[tuple[bool, bool, bool], FloatArray, FloatArray]:
-    """Return which channels are pairs, signals (3, n), and half differences (n_pairs, n)."""
-    signals, differences = [], []
-    places = [[values[name] for name in values if channel_of(name) == c] for c in CHANNELS]
-    axle_box, bogie, body = (len(own) == len(SIDES) for own in places)
-    paired = axle_box, bogie, body
-    for own, is_pair in zip(places, paired, strict=True):
-        signals.append(np.mean(own, axis=0) if own else np.full(n, np.nan))
-        if is_pair:
-            differences.append((own[0] - own[1]) / 2)
-    return paired, np.stack(signals), np.array(differences).reshape(len(differences), n)
-
-
-def _elsewhere(values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    return {name: signal for name, signal in values.items() if not channel_of(name)}
-
-
 def _read_sensor(
     manifest: TripManifest, name: str, offset_s: float, wanted_hz: float
 ) -> SensorSignal:
-    """Return the signal of one sensor from its file, on the common clock."""
     where, channel = manifest.where(name), manifest.sensors()[name]
     with open_source(manifest, channel, where) as source:
         blocks = source.even(PASS * wanted_hz)
         first_block = next(blocks)  # read first: time stamps then give the approximate rate
         rate_hz = source.known_rate_hz
         if rate_hz < 0.99 * wanted_hz:
-            unit = "" if source.times is None else source.times.likely_unit(rate_hz)
-            kind = "rate-too-low-unit" if unit else "rate-too-low"
-            hz = rate_hz / TIME_UNITS[unit] if unit else None
-            values = {"rate_hz": rate_hz, "wanted_hz": wanted_hz, "unit": unit, "hz": hz}
-            raise TripError(Finding(kind, where=where, **values))
+            values = {"rate_hz": rate_hz, "wanted_hz": wanted_hz}
+            raise TripError(Finding("rate-too-low", where=where, **values))
         if rate_hz > HIGHEST_HZ:
             values = {"rate_hz": rate_hz, "highest_hz": HIGHEST_HZ}
             raise TripError(Finding("rate-too-high", where=where, **values))
@@ -324,7 +283,6 @@ def _read_sensor(
 def _common(
     manifest: TripManifest, streams: Sequence[SensorSignal], rate_hz: float
 ) -> tuple[int, int]:
-    """Return the first and last common instant of all sensors, in steps of the common clock."""
     common_s = min(s.end_s for s in streams) - max(s.start_s for s in streams)
     if common_s < SHORTEST_S - 1 / rate_hz:
         spans = together(
@@ -364,16 +322,13 @@ def followed(first: Recording, later: Recording, offset_s: float) -> Recording:
     faults = (replace(fault, first_s=fault.first_s + offset_s) for fault in later.faults)
     return replace(
         first,
-        signals=extended(first.signals, later.signals, 0.0),
+        values={
+            name: extended(signal, later.values[name], 0.0) for name, signal in first.values.items()
+        },
         usable=usable,
         speed_m_per_s=extended(first.speed_m_per_s, later.speed_m_per_s, np.nan),
         faults=(*first.faults, *faults),
         duration_s=len(usable) / first.rate_hz,
-        differences=extended(first.differences, later.differences, 0.0),
-        elsewhere={
-            name: extended(signal, later.elsewhere[name], 0.0)
-            for name, signal in first.elsewhere.items()
-        },
         words=together(dict.fromkeys((first.words, later.words))),
         faulty={
             name: extended(faulty(first, name), faulty(later, name), False)

@@ -1,14 +1,10 @@
 """A recording that grows while the train runs; its result equals the batch's on the same samples.
 
 The steps up to the common clock are local, so a stream runs the code of the batch as its samples
-arrive (`sensor`): windows of cleaning start at fixed samples, both filters are finite, and the
-instants of the common clock are multiples of ``1 / rate_hz``. All later steps need the whole
-recording. Signals on the common clock are stored for them, 27 bytes per instant of three sensors;
-`longest_s` bounds the recording and its memory.
+arrive (`sensor`). All later steps need the whole recording: signals on the common clock are stored
+for them, 27 bytes per instant of three sensors; `longest_s` bounds the recording and its memory.
 
-The rate of a sensor is that of the manifest. If the manifest leaves it to the file, for example to
-a column of times, it is that of the sensor's first frame; the mean rate of such a column, which the
-batch uses, is known only at the end. Units are taken from frames in the same way.
+Where the manifest leaves rate or unit to the file, they are those of the sensor's first frame.
 """
 
 from __future__ import annotations
@@ -41,34 +37,14 @@ from suspnet.trains.recordings.speed import HIGHEST_RATE_HZ, SpeedTrack, speed_t
 class Running:
     """The recording of one suspension, extended frame by frame.
 
-    Parameters
-    ----------
-    manifest : TripManifest
-        Its files and times are not used. Frames give the unit and rate if it does not.
-    zero_ns : int, [ns]
-        A whole second, to which `longest_s` and `before_s` refer.
-    rate_hz : float, [Hz]
-        Rate of the common clock.
-    order : OrderSettings, optional
-    longest_s, before_s : float, [s]
-        Frames that start later than this after `zero_ns`, or earlier than this before it, are
-        refused; they need a new recording.
+    The manifest's files and times are not used. `zero_ns` is a whole second, to which `longest_s`
+    and `before_s` refer: frames that start later than this, or earlier than this before it, are
+    refused; they need a new recording. `rate_hz` is that of the common clock.
 
-    Attributes
-    ----------
-    begin_ns, end_ns : int, [ns]
-        Start of the earliest and end of the latest frame, by their times.
-    goes_on : bool
-        Whether it continues the trip of another recording.
-    rest : Running or None
-        Continuation of the same trip that is too short for a recording of its own.
-
-    Raises
-    ------
-    TripError
-        If a rate is out of range, or the unit of a sensor's `range` is missing.
-    ValueError
-        If a number is out of range.
+    `begin_ns` and `end_ns` are the start of the earliest and the end of the latest frame, `goes_on`
+    whether it continues the trip of another recording, `rest` a continuation of the same trip that
+    is too short for a recording of its own. Raises TripError if a rate is out of range, or the unit
+    of a sensor's `range` is missing, and ValueError if a number is out of range.
     """
 
     def __init__(
@@ -151,7 +127,6 @@ class Running:
         self._give(frame.sensor, blocks)
 
     def _order(self, frame: Frame) -> Assembler:
-        """Return the assembler of a frame's sensor; the first frame may set the rate."""
         name, source = frame.sensor, self._sources[frame.sensor]
         if name not in self._orders:
             rate_hz = source.rate_hz
@@ -222,7 +197,6 @@ class Running:
 
     @property
     def _clock_ns(self) -> int:
-        """Zero of the recording's clock, since 1970, [ns]."""
         return self._whole_second(self.begin_ns)
 
     def _zero_ns(self, name: str) -> int:
@@ -256,7 +230,6 @@ class Running:
             sensor.push(block)
 
     def _track(self) -> SpeedTrack | None:
-        """Return the speeds so far, as the batch reads them; None if the speed is constant."""
         source = self.manifest.speed
         if not isinstance(source, SpeedSource):
             return None

@@ -1,10 +1,9 @@
 """One sensor, from a file or a stream: cleaned, and resampled to the common clock.
 
-Resampling has zero phase and equal gain. The first stage decimates the streaming signal by an
-integer to at least ``OVERSAMPLING`` times the output rate. The second interpolates at the instants
-of the common clock by a windowed sinc, the same function of time for all input rates. With f the
-output rate, both stages are flat up to ``PASS`` f, and attenuate images and aliases that would fall
-there by ``ATTENUATION_DB``.
+Resampling has zero phase and equal gain. The first stage decimates by an integer to at least
+``OVERSAMPLING`` times the output rate f; the second interpolates at the instants of the common
+clock by a windowed sinc, the same function of time for all input rates. Both are flat up to
+``PASS`` f, and attenuate images and aliases that would fall there by ``ATTENUATION_DB``.
 """
 
 from __future__ import annotations
@@ -150,7 +149,6 @@ class SensorStream:
 
 
 def _check_alive(where: str, cleaner: Cleaner, faults: tuple[Fault, ...]) -> None:
-    """Raise DeadSensorError if a sensor has no usable sample, TripError if its unit is wrong."""
     if abs(cleaner.mean) > LARGEST_MEAN_M_PER_S2:
         raise TripError(Finding("odd-mean", where=where, mean=cleaner.mean))
     if cleaner.n_bad < cleaner.n_samples:
@@ -329,7 +327,6 @@ def _sinc_table(half: int, oversampling: float) -> FloatArray:
 
 
 def _touched(bad: BoolArray, first: IntArray, length: int) -> BoolArray:
-    """Return which windows of `length` samples from `first` contain a bad sample."""
     if not bad.any():
         return np.zeros(len(first), dtype=np.bool_)
     count = np.zeros(len(bad) + 1, dtype=np.int32)

@@ -22,8 +22,6 @@ from suspnet.trains.recordings.uneven import POINTS, Grid, Line
 
 RATE_TOLERANCE = 1e-4
 """Largest relative difference between a stated rate and that in the header of a file."""
-WHOLE_HZ = 0.5
-"""Largest difference from a rate that the format stores as a whole number, [Hz]."""
 BAND_HZ = 25.0
 """Frequency up to which samples are used unless a reader says otherwise, [Hz]."""
 GAP_STEPS = 1.5
@@ -34,11 +32,11 @@ GAP_STEPS = 1.5
 class OpenSource:
     """A source that is open for reading.
 
-    `size` is the factor from stored values to SI units, including the sign and, for fractions of
-    full scale, the range; `full_scale` the largest magnitude of an acceleration [m/s2]. `rate_hz`
-    is None if only the times give it, `times` None if the source is evenly sampled. `stated` is the
-    origin by the file's header. `stated_words` state how the file is read, as known when it was
-    opened. `where` names the source in errors.
+    `size` is the factor from stored values to SI units, including the sign; `full_scale` the
+    largest magnitude of an acceleration [m/s2]. `rate_hz` is None if only the times give it,
+    `times` None if the source is evenly sampled. `stated` is the origin by the file's header.
+    `stated_words` state how the file is read, as known when it was opened. `where` names the source
+    in errors.
     """
 
     path: Path
@@ -137,7 +135,7 @@ def open_source(manifest: TripManifest, source: FileSource, where: str) -> Itera
         size, words = _size(where, source, column)
         full_scale = getattr(source, "range", None)
         if full_scale is not None:
-            full_scale = abs(size) * (1.0 if column.full_scale is not None else full_scale)
+            full_scale *= abs(size)
         times = None
         if time is not None:
             choose(path, file, [time])
@@ -160,7 +158,6 @@ def open_source(manifest: TripManifest, source: FileSource, where: str) -> Itera
 
 
 def _only_stamps(where: str, path: Path, file: OpenFile) -> str:
-    """Return the only column of time stamps; TripError if there are none or several."""
     stamps = [column.name for column in file.columns if column.is_time]
     if len(stamps) == 1:
         return stamps[0]
@@ -172,28 +169,21 @@ def _only_stamps(where: str, path: Path, file: OpenFile) -> str:
 
 
 def _agreed_rate(where: str, stated_hz: float | None, column: Column) -> float | None:
-    """Return the rate of the manifest or else of the file; TripError if they differ."""
     own_hz = column.rate_hz
     if stated_hz is None or own_hz is None:
         return stated_hz or own_hz
-    most = max(RATE_TOLERANCE * own_hz, WHOLE_HZ if column.is_whole_rate else 0)
-    if abs(stated_hz - own_hz) > most:
+    if abs(stated_hz - own_hz) > RATE_TOLERANCE * own_hz:
         raise TripError.at(where, "rate-differs", stated_hz=stated_hz, found_hz=own_hz)
     return stated_hz
 
 
 def _size(where: str, source: FileSource, column: Column) -> tuple[float, str]:
-    """Return the factor to SI units, and a remark if the file's unit is unknown."""
     size = agreed_size(where, source.kind, source.unit, column.unit)
     words = ""
     if column.unit and size_of(source.kind, column.unit) is None:
         words = Finding(
             "unit-taken", name=repr(column.name), unit=source.unit, unit2=repr(column.unit)
         )
-    if column.full_scale is not None:
-        if not isinstance(source, SensorSource) or source.range is None:
-            raise TripError.at(where, "range-missing", name=repr(column.name))
-        size *= source.range
     return size * (source.sign if isinstance(source, SensorSource) else 1), words
 
 
@@ -304,7 +294,6 @@ class Timeline:
         return filled
 
     def _start_grid(self, times: FloatArray) -> None:
-        """Interpolate from the next block on, on the line of the blocks before if there are any."""
         steps = np.diff(times, prepend=self._last[0])
         first_s, step_s = float(times[0]), None
         if self._n_given:
@@ -342,7 +331,6 @@ def check_rate(where: str, stated_hz: float | None, times_hz: float) -> None:
 
 
 def _recut(blocks: Iterable[tuple[FloatArray, ...]]) -> Iterator[tuple[FloatArray, ...]]:
-    """Yield the same stream in blocks of ``BLOCK`` samples, the last one shorter."""
     pending: list[tuple[FloatArray, ...]] = []
     held = 0
     for block in blocks:

@@ -9,10 +9,9 @@ from itertools import pairwise
 import numpy as np
 
 from suspnet.ground.types import BoolArray, FloatArray
-from suspnet.trains.recordings.cleaning import Fault
+from suspnet.trains.recordings.cleaning import Fault, paint, runs
 from suspnet.trains.recordings.clocks import Zero
 from suspnet.trains.recordings.errors import TripError
-from suspnet.trains.recordings.faults import paint, runs
 from suspnet.trains.recordings.manifest import TripManifest
 from suspnet.trains.recordings.manifest_sources import SpeedSource
 from suspnet.trains.recordings.sources import (

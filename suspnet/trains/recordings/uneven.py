@@ -14,8 +14,8 @@ import numpy as np
 
 from suspnet.ground.findings import Finding
 from suspnet.ground.types import FloatArray, IntArray
+from suspnet.trains.recordings.cleaning import find_gaps
 from suspnet.trains.recordings.errors import TripError
-from suspnet.trains.recordings.faults import find_gaps
 
 POINTS = 8
 """Number of samples from which a value is interpolated."""
@@ -154,7 +154,6 @@ class Grid:
         return np.concatenate([np.empty(0), *blocks])
 
     def _at(self, instants: FloatArray) -> FloatArray:
-        """Return the values at instants of the grid; NaN in gaps."""
         times, half = self._times, POINTS // 2
         after = np.clip(np.searchsorted(times, instants), 1, len(times) - 1)
         # the samples around each instant, on one side of a long gap

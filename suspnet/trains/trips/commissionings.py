@@ -95,7 +95,6 @@ def with_truth_of_each(
 
 
 def _relative_truth(result: TripResult, healthy: Sequence[Mapping[str, float]]) -> TripResult:
-    """Return a result whose true k and c are relative to the median of healthy trips."""
     names = [
         name for name in result.truth if name != BODY_MASS and all(name in one for one in healthy)
     ]

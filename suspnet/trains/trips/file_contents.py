@@ -1,27 +1,184 @@
-"""Contents of data files, by their first samples and by names of columns, in English and German."""
+"""Contents of data files: what loggers note about a trip, and columns by their first samples.
+
+Names are English or German. A line of notes is a name, a sign (``: = ;``, a tab or a comma) and a
+value, such as ``Kilometerstand;123.456,7 km``. Each key is one of a manifest.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from suspnet.ground.parameters import ENDS, SIDES
+from suspnet.ground.parameters import SIDES
 from suspnet.ground.types import FloatArray
-from suspnet.trains.recordings.clocks import Times, Zero, header_date, likely_time_unit
 from suspnet.trains.recordings.columns import Column, OpenFile, size_of, unit_in_name
+from suspnet.trains.recordings.dates import read_date, short_lines
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.formats import open_file, read_columns
-from suspnet.trains.recordings.logger_notes import WORDS, choice_of, key_of
 from suspnet.trains.recordings.manifest import CHANNELS
-from suspnet.trains.recordings.manifest_sources import TIME_UNITS, FileSource
+from suspnet.trains.recordings.manifest_sources import TIME_UNITS
+
+NAMES: Mapping[str, tuple[str, ...]] = {
+    "mileage_km": (
+        *("mileage", "odometer", "kilometerstand", "km stand", "kmstand"),
+        *("laufleistung", "laufleistung km", "kilometerleistung"),
+    ),
+    "start": ("start", "date", "datum", "beginn", "messbeginn", "start time", "startzeit"),
+    "vehicle": ("vehicle", "vehicle type", "fahrzeug", "fahrzeugtyp", "baureihe"),
+    "train": ("train", "trainset", "zug", "triebzug", "zugnummer"),
+    "car": ("car", "wagen", "wagennummer"),
+    "suspension": ("suspension", "bogie", "drehgestell", "federung", "aufhängung"),
+    "axle": ("axle", "measured axle", "achse", "messachse"),
+    "side": ("side", "seite"),
+    "direction": ("direction", "direction of travel", "richtung", "fahrtrichtung"),
+    "temperature_c": (
+        *("temperature", "outside temperature", "ambient temperature"),
+        *("air temperature", "temperatur", "außentemperatur", "aussentemperatur"),
+    ),
+    "wheel_diameter_m": ("wheel diameter", "raddurchmesser"),
+    "speed": ("speed", "geschwindigkeit"),
+}
+"""Names of each key of a manifest, in lower case and with one blank between words."""
+GERMAN = frozenset(
+    (
+        *("kilometerstand", "km stand", "kmstand", "laufleistung", "laufleistung km"),
+        *("kilometerleistung", "temperatur", "außentemperatur", "aussentemperatur"),
+        *("raddurchmesser", "geschwindigkeit"),
+    )
+)
+"""Names of numbers whose points separate thousands and whose comma is the decimal sign."""
+_ENDS = {
+    "leading": ("leading", "front", "vorn", "vorne", "vorderes", "vordere", "führend"),
+    "trailing": ("trailing", "rear", "hinten", "hinteres", "hintere", "nachlaufend"),
+}
+WORDS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
+    "bogie": _ENDS,
+    "axle": _ENDS,
+    "side": {"left": ("left", "links", "li", "l"), "right": ("right", "rechts", "re", "r")},
+    "direction": {
+        "forward": ("forward", "vorwärts", "vorwaerts", "vor", "1", "+1"),
+        "reverse": ("reverse", "backward", "rückwärts", "rueckwaerts", "rück", "-1"),
+    },
+}
+"""Words for each value of the keys with a choice."""
+NUMBERS = ("mileage_km", "temperature_c", "wheel_diameter_m")
+"""Keys whose values are numbers."""
+_LINE = re.compile(r"[\W_]*(?P<name>[^:=;\t,]{2,40}?)[\"'\s]*[:=;\t,]+(?P<rest>.+)")
+_NUMBER = re.compile(r"[-+]?\d[\d.,' ]*")
+_BRACKETS = re.compile(r"[\[(]([^\[\]()]*)[\])]")
+_SPEED = re.compile(r"(\d+(?:[.,]\d+)?) *(km/h|m/s)")
+
+
+@dataclass(frozen=True)
+class Stated:
+    """Value of a key of a manifest, and where it is from."""
+
+    value: str | float
+    source: str
+
+
+def stated_in(lines: Iterable[str]) -> dict[str, Stated]:
+    """Return what lines state, by the keys of a manifest; the first line of a key counts.
+
+    >>> stated = stated_in(["Kilometerstand;123.456,7 km", "Fahrzeug: am96", "Drehgestell;vorn"])
+    >>> {key: note.value for key, note in stated.items()}
+    {'mileage_km': 123456.7, 'vehicle': 'am96', 'bogie': 'leading'}
+    """
+    stated: dict[str, Stated] = {}
+    for line in short_lines(lines):
+        match = _LINE.match(line)
+        key = key_of(match["name"]) if match else ""
+        if match is None or not key:
+            continue
+        value = read_value(key, match["name"], " ".join(re.split(r"[;\t\"]+", match["rest"])))
+        if value is not None:
+            name, content = value
+            source = f"by the line {match['name'].strip()!r}"
+            stated.setdefault(name, Stated(content, source))
+    return stated
+
+
+def key_of(name: str) -> str:
+    """Return the key of a manifest that a name means; empty if it is none.
+
+    >>> key_of("Kilometerstand [km]"), key_of("Messstelle")
+    ('mileage_km', '')
+    """
+    plain = _plain(name)
+    return next((key for key, names in NAMES.items() if plain in (_plain(key), *names)), "")
+
+
+def read_value(
+    key: str, name: str, text: str, is_german: bool = False
+) -> tuple[str, str | float] | None:
+    """Return the key and the value of a text; None if it is not one of that key.
+
+    `name` decides how a number is written, unless `is_german`, and may hold the unit of a speed in
+    brackets. "suspension" with the word for a leading or trailing bogie is "bogie". `start` is in
+    ISO format.
+
+    >>> read_value("speed", "Geschwindigkeit [km/h]", "252,5"), read_value("speed", "v", "252,5")
+    (('speed', '252.5 km/h'), None)
+    """
+    text = " ".join(text.split()).strip("\"', ")
+    if not text:
+        return None
+    if key == "suspension" and (bogie := choice_of("bogie", text)):
+        return "bogie", bogie
+    if key in WORDS:
+        chosen = choice_of(key, text)
+        return (key, chosen) if chosen else None
+    if key == "start":
+        moment = read_date(text)
+        return None if moment is None else (key, moment.isoformat())
+    if key == "speed":
+        match = _SPEED.match(" ".join([text, *_BRACKETS.findall(name)]))
+        return None if match is None else (key, f"{match[1].replace(',', '.')} {match[2]}")
+    if key in NUMBERS:
+        number = _number(text, is_german or _plain(name) in GERMAN)
+        if number is not None and key == "wheel_diameter_m" and number > 10:  # in mm
+            number /= 1000
+        return None if number is None else (key, number)
+    return key, text
+
+
+def choice_of(key: str, text: str) -> str:
+    """Return the value of a key with a choice that the words of a text mean; empty if unclear."""
+    words = set(re.split(r"[^\w+-]+", text.lower()))
+    values = [value for value, names in WORDS[key].items() if words & {value, *names}]
+    return values[0] if len(values) == 1 else ""
+
+
+def _plain(name: str) -> str:
+    bare = _BRACKETS.sub(" ", name)
+    return " ".join(re.split(r"[^\w]+|_", bare.lower())).strip()
+
+
+def _number(text: str, is_german: bool) -> float | None:
+    match = _NUMBER.search(text)
+    if match is None:
+        return None
+    digits = match[0].replace(" ", "").replace("'", "").rstrip(".,")
+    if "," in digits and "." in digits:
+        decimal = max(",.", key=digits.rfind)
+    elif re.fullmatch(r"[-+]?\d{1,3}([.,]\d{3})+", digits):  # 123.456 is German for 123456
+        decimal = "," if is_german else "."
+    else:
+        decimal = "," if "," in digits else "."
+    other = "." if decimal == "," else ","
+    try:
+        return float(digits.replace(other, "").replace(decimal, "."))
+    except ValueError:
+        return None
+
 
 ACCELERATION, SPEED = "acceleration", "speed"
-ABOUT_TRIP = ("mileage_km", "direction")
-"""Keys of a manifest that columns may state."""
+MILEAGE = "mileage_km"
+"""The key of a manifest that a column may state."""
 MOST_COLUMNS = 500
 """Largest number of columns of a file that are inspected."""
 MOSTLY_RISING = 0.99
@@ -37,14 +194,6 @@ _WORDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 }
 """For each meaning, parts of words and whole words that have it. The first match counts: an axle
 box is also on a bogie, and a bogie also belongs to a car."""
-_BOGIE_NUMBER = re.compile(r"(?:bogie|drehgestell|dg)[\s_.-]*([12])(?!\d)")
-_AXLE_NUMBER = re.compile(
-    r"(?:axle|achse|achslager|radsatz|radsatzlager|wheelset|box|ws|rs|ecke|corner|\bal)"
-    r"[\s_.-]*([1-4])(?!\d)"
-)
-_UNITS = {"ms2": "m/s2", "mps2": "m/s2", "g": "g", "mg": "mg", "mps": "m/s"} | dict.fromkeys(
-    ("kmh", "kph"), "km/h"
-)
 _TIMES = ("t", "datetime", "datum", "uhrzeit", "seconds", "sec", "utc")
 _TIME_BEGINS = ("time", "zeit")
 _OTHER_DIRECTIONS = ("x", "y", "lateral", "longitudinal", "quer", "laengs", "längs", "lat", "long")
@@ -84,31 +233,6 @@ def guessed_side(*names: str) -> str:
     return ""
 
 
-def guessed_bogie(*names: str) -> tuple[str, str]:
-    """Return the bogie that the first name states, and the word that does; both empty if none.
-
-    Bogie 1 is the leading one of a vehicle that runs forward.
-    """
-    for name in names:
-        if number := _BOGIE_NUMBER.search(name.lower()):
-            return ENDS[int(number[1]) - 1], number[0]
-        if chosen := choice_of("bogie", name):
-            return chosen, chosen
-    return "", ""
-
-
-def guessed_axle(*names: str) -> int:
-    """Return the number of an axle by the first name that states 1 to 4; 0 if none does.
-
-    3 and 4 are those of a vehicle, 1 and 2 may be those of a bogie.
-
-    >>> guessed_axle("Achslager 2 links"), guessed_axle("axle_box_left"), guessed_axle("WS12")
-    (2, 0, 0)
-    """
-    matches = (_AXLE_NUMBER.search(name.lower()) for name in names)
-    return next((int(match[1]) for match in matches if match), 0)
-
-
 def is_of_another_direction(column: str) -> bool:
     """Return whether a column's name states a direction other than vertical."""
     return bool(set(words_of(column)) & set(_OTHER_DIRECTIONS))
@@ -125,29 +249,20 @@ class Signal:
     `unit` is as the file or the column's name writes it. `rate_hz` is stated by the file or
     computed from its times; NaN if unknown. `time` is the column of its times, empty if it has none
     or the file states the rate, and `time_unit` their unit if only their column's name states it.
-    `mean` and `deviation` are those of the first samples, `first` is the first of them. `zero` is
-    when its times start, as far as the file states it. `names` serve to guess its meaning: its own,
-    with and without its group's, and that of a file with at most two columns or with columns that
-    name no channel. `axle` is 1 or 2 of the bogie where this was said, else 0; `range` is the
-    sensor's where said, else NaN. `said` are the keys, unit and rate_hz, that the user said,
-    `untimed` is why its column of times is not used.
+    `names` serve to guess its meaning: its own, with and without its group's, and that of a file
+    with at most two columns or with columns that name no channel. `first` is the first sample.
+    `axle` is 1 or 2 of the bogie where the user stated it, else 0.
     """
 
     file: Path
     column: Column
     unit: str
     rate_hz: float
-    time: str
-    time_unit: str
-    mean: float
-    deviation: float
-    zero: Zero = field(default_factory=Zero)
+    time: str = ""
+    time_unit: str = ""
     names: tuple[str, ...] = ()
     first: float = np.nan
     axle: int = 0
-    range: float = np.nan
-    said: tuple[str, ...] = ()
-    untimed: str = ""
 
     @property
     def name(self) -> str:
@@ -162,9 +277,9 @@ class Signal:
     @property
     def meaning(self) -> str:
         """Channel or speed, by names and unit; empty if these do not show it."""
-        # DG1 is that of a body in "DG1 Wagenkasten", and the place itself in "DG1_L"
-        unnumbered = (re.sub(r"\d+", " ", name) for name in self.names)
-        guess = guessed_meaning(*self.names) or guessed_meaning(*unnumbered)
+        if key_of(self.name) == MILEAGE:
+            return ""
+        guess = guessed_meaning(*self.names)
         if size_of(SPEED, self.unit) is not None:
             return SPEED
         is_acceleration = size_of(ACCELERATION, self.unit) is not None
@@ -186,15 +301,6 @@ class Contents:
     notes: tuple[str, ...] = ()
 
 
-def look_into(file: Path) -> tuple[list[Signal], str]:
-    """Return the columns of numbers of a file, without times, and how the file is read.
-
-    TripError is raised if the file cannot be read, or holds no column of numbers.
-    """
-    contents = contents_of(file)
-    return list(contents.signals), contents.read_as
-
-
 def contents_of(file: Path) -> Contents:
     """Return the columns of numbers of a file, without times, and what else it states.
 
@@ -203,29 +309,18 @@ def contents_of(file: Path) -> Contents:
     with open_file(file) as opened:
         columns = opened.columns[:MOST_COLUMNS]
         # times first: other columns take their rate from them
-        named = {
-            column.name: _times(file, opened, column.name)
-            for column in columns
-            if column.is_time or names_times(column.name)
-        }
-        times = {name: values for name, (values, _) in named.items() if len(values) > 1}
-        falls = {name: f"{file.name}: {why}" for name, (_, why) in named.items() if why}
-        others = [c for c in columns if not (c.is_time or c.unread or c.name in {*times, *falls})]
+        names = [column.name for column in columns if column.is_time or names_times(column.name)]
+        times = {name: values for name in names if len(values := _times(file, opened, name)) > 1}
+        others = [c for c in columns if not (c.is_time or c.unread or c.name in times)]
         inspected = [_signal(file, opened, column, times) for column in others]
         refused = "; ".join(f"{c.name!r} {c.unread}" for c in columns if c.unread)
     signals = [signal for signal in inspected if signal is not None]
     if not signals:
         raise TripError(f"{file} holds no column of numbers{': ' if refused else ''}{refused}")
-    # a file DG2 of many columns is that of a bogie with all of its places
-    is_bogie = bool(_BOGIE_NUMBER.search(file.stem.lower()))
     has_channels = bool({signal.meaning for signal in signals} & set(CHANNELS))
-    if len(signals) <= len(SIDES) or not (is_bogie or has_channels):
+    if len(signals) <= len(SIDES) or not has_channels:
         signals = [_named_by_its_file(signal) for signal in signals]
-    untimed = next(iter(falls.values()), "") if not times else ""
-    if untimed:
-        signals = [s if np.isfinite(s.rate_hz) else replace(s, untimed=untimed) for s in signals]
     words = [opened.words, f"{file.name}: not read: {refused}" if refused else ""]
-    words += dict.fromkeys(signal.untimed for signal in signals)
     return Contents(file, tuple(signals), "; ".join(filter(None, words)), opened.notes)
 
 
@@ -236,86 +331,49 @@ def _named_by_its_file(signal: Signal) -> Signal:
     return replace(signal, names=(*signal.names, signal.file.stem))
 
 
-def _first(file: Path, opened: OpenFile, names: Sequence[str]) -> tuple[FloatArray, ...]:
-    """Return the first block of some columns; empty if one does not hold numbers."""
+def _first(file: Path, opened: OpenFile, name: str) -> FloatArray:
     try:
-        return next(iter(read_columns(file, opened, names)))
+        return next(iter(read_columns(file, opened, [name])))[0]
     except TripError:
-        return ()
+        return np.empty(0)
 
 
-def _times(file: Path, opened: OpenFile, name: str) -> tuple[FloatArray, str]:
+def _times(file: Path, opened: OpenFile, name: str) -> FloatArray:
     """Return the first times of a column, [s] or its own unit; empty if they do not increase.
 
-    Some may be missing, and a clock may start again. Why times do not increase is returned too.
+    Some may be missing, and a clock may start again.
     """
-    (block,) = _first(file, opened, [name]) or (np.empty(0),)
+    block = _first(file, opened, name)
     if block.dtype.kind == "M":
         block = block[~np.isnat(block)]
         block = np.asarray((block - block[0]) / np.timedelta64(1, "s") if len(block) else [])
     block = block[np.isfinite(block)]
-    steps = np.diff(block)
-    if len(steps) and (steps > 0).mean() >= MOSTLY_RISING:
-        return np.asarray(block, dtype=np.float64), ""
-    if not steps.any() or np.corrcoef(block, np.arange(len(block)))[0, 1] < MOSTLY_RISING:
-        return np.empty(0), ""  # they are no times, whatever their name says
-    i = np.flatnonzero(steps <= 0)[0]
-    return np.empty(0), (
-        f"the times {name!r} must rise, but {block[i + 1]:.9g} follows {block[i]:.9g} (sample "
-        f"{i + 2}), so they are not used; mend them, or rate_hz takes the samples as evenly spaced"
-    )
+    is_rising = len(block) > 1 and (np.diff(block) > 0).mean() >= MOSTLY_RISING
+    return np.asarray(block, dtype=np.float64) if is_rising else np.empty(0)
 
 
 def _signal(
     file: Path, opened: OpenFile, column: Column, times: dict[str, FloatArray]
 ) -> Signal | None:
-    """Return what is known about a column; None if it holds no numbers, or one that is no key."""
-    blocks = _first(file, opened, [column.name])
-    if not blocks or blocks[0].dtype.kind != "f":
-        return None
-    if len(blocks[0]) < 2 and key_of(column.name) not in ABOUT_TRIP:
+    values = _first(file, opened, column.name)
+    if values.dtype.kind != "f" or len(values) < 1 + (key_of(column.name) != MILEAGE):
         return None
     # the rate is the file's, else that of the column's own or the first shared times
-    values = blocks[0][np.isfinite(blocks[0])]
     time, time_unit, rate_hz = "", "", column.rate_hz
     if rate_hz is None:
-        shared = (name for name in times if not opened.column(name).is_by_name)
-        time = column.time or next(shared, "")
+        time = column.time or next(iter(times), "")
         rate_hz, time_unit = _rate(opened, time, times[time]) if time in times else (np.nan, "")
-    if time and not time_unit and guessed_meaning(column.name) != SPEED:
-        stated = opened.column(time).unit or unit_in_name(time)
-        time_unit = "" if stated else likely_time_unit(rate_hz)
-        rate_hz /= TIME_UNITS[time_unit or "s"]
+    finite = values[np.isfinite(values)]
     return Signal(
         file=file,
         column=column,
-        unit=column.unit or unit_in_name(column.name) or _unit_word(column.name),
+        unit=column.unit or unit_in_name(column.name),
         rate_hz=rate_hz,
         time=time,
         time_unit=time_unit,
-        mean=float(values.mean()) if len(values) else np.nan,
-        deviation=float(values.std()) if len(values) else np.nan,
-        zero=_zero(file, opened, column, time, time_unit),
         names=(column.name.rpartition("/")[2], column.name),
-        first=float(values[0]) if len(values) else np.nan,
+        first=float(finite[0]) if len(finite) else np.nan,
     )
-
-
-def _zero(file: Path, opened: OpenFile, column: Column, time: str, time_unit: str) -> Zero:
-    if not time:
-        return Zero(column.start_ns, not column.is_local, True, header_date(column))
-    times = Times(
-        str(file),
-        FileSource(str(file), time_unit=time_unit or None),
-        opened.column(time),
-        column.start_ns,
-    )
-    try:
-        for block in _first(file, opened, [time]):
-            times.seconds(block)
-    except TripError:
-        return Zero(date=header_date(column))
-    return replace(times.zero, date=header_date(column))
 
 
 def _rate(opened: OpenFile, time: str, times: FloatArray) -> tuple[float, str]:
@@ -326,10 +384,3 @@ def _rate(opened: OpenFile, time: str, times: FloatArray) -> tuple[float, str]:
     named = words[-1] if words and not stated and not column.is_time else ""
     step = float(np.median(np.diff(times))) * (size_of("time", stated or named) or 1.0)
     return 1 / step, named
-
-
-def _unit_word(name: str) -> str:
-    """Return a unit that is a separate word of a column's name; empty if there is none."""
-    written = re.findall(r"km/h|m/s\^?[2²]|m/s", name)
-    spelled = [_UNITS[word] for word in words_of(name)[1:] if word in _UNITS]
-    return (written or spelled or [""])[-1]

@@ -161,5 +161,4 @@ def check_bogie(
 
 
 def _measured_at(manifest: TripManifest) -> dict[str, Any]:
-    """Return bogie and axle of a manifest, the leading ones where it names none."""
     return {"bogie": manifest.bogie or "leading", "axle": manifest.axle or "leading"}

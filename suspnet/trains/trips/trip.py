@@ -112,7 +112,6 @@ def _reason(error: Exception, manifest: Path) -> str:
 
 
 def _in_lines(result: TripResult) -> TripResult:
-    """Return a result whose texts are of one line each, as tables need them."""
     place = Place(*map(one_line, astuple(result.place)))
     values = {f.name: getattr(result, f.name) for f in fields(result)}
     texts: dict[str, Any] = {
@@ -234,7 +233,6 @@ def _of_bins(bins: Sequence[SeenBin], model: Model, recording: Recording) -> dic
 
 
 def _used(bins: Sequence[SeenBin]) -> dict[Welch, int]:
-    """Return the number of segments that any of the bins uses, by how segments are cut."""
     chosen: dict[Welch, Tensor] = {}
     for one in bins:
         welch = one.segments.welch

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from recording_files import needed
 
 from suspnet.trains.recordings.formats import open_file
-from suspnet.trains.recordings.logger_notes import Stated, key_of, read_value, stated_in
 from suspnet.trains.recordings.reader_server import MOST_NOTES
+from suspnet.trains.trips.file_contents import Stated, key_of, read_value, stated_in
 
 
 def values(*lines):
@@ -51,7 +51,7 @@ def test_lines_state_keys_of_a_manifest(line, expected):
 
 def test_first_line_of_a_key_counts_and_is_the_source():
     found = stated_in(["Fahrzeug;a", "vehicle: b"])
-    assert found == {"vehicle": Stated("a", "by the line 'Fahrzeug'", "Fahrzeug;a")}
+    assert found == {"vehicle": Stated("a", "by the line 'Fahrzeug'")}
 
 
 @given(st.integers(0, 2 * 10**7), st.integers(0, 9))
