@@ -14,22 +14,23 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import config_comments
+import fair
 import interval_coverage
 import methods_table
 import named_parts
 import numpy as np
 import one_way
+import readings
 from against_n import METHODS, TUBE
 from cells import Parser, Row
 from layouts import layouts_markdown
 from tabulate import tabulate
+from tube import tube_markdown
 
 from suspnet.cli.config_files import read_comments
 from suspnet.cli.kinds import read_vehicles
 from suspnet.ground.storage import write_atomically
-from suspnet.runs import fair, readings
 from suspnet.runs.tables import MODEL_TITLES, table6_caption, table6_markdown
-from suspnet.runs.tube import tube_markdown
 from suspnet.trains.jobs.paper import impact_rows
 from suspnet.vehicle import PARAMETERS, QuarterCar
 from suspnet.vehicle.quantities import PARTS, QUANTITIES

@@ -49,8 +49,7 @@ class HealthySettings:
     )
     workers: int = setting(
         2,
-        "Number of suspensions that are commissioned at the same time, where healthy holds "
-        "several, and of processes of experiment=tube",
+        "Number of suspensions that are commissioned at the same time, where healthy holds several",
         low=1,
         most=1024,
     )

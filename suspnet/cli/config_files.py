@@ -192,7 +192,7 @@ def _keys(root: yaml.Node | None) -> Iterator[tuple[Keys, yaml.Node, yaml.Mark]]
 
 SWITCHES = frozenset(
     "by_part check_channels distributed estimate_mass figures fit_intercept log_ratios mass_known "
-    "once open_browser open_to_network pdf progress refine short_waves sines standardised tls "
+    "once open_browser open_to_network pdf progress refine short_waves standardised tls "
     "xlsx".split()
 )
 """Keys that are either on or off, in whichever group they are."""

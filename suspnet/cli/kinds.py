@@ -66,7 +66,6 @@ KINDS: dict[str, dict[str, str | type]] = {
     "search": {"": "suspnet.learning.search.GridSearch"},
     "sisters": {"": "suspnet.trains.maintenance.sisters.SisterSettings"},
     "trips": {"": "suspnet.estimation.trip_settings.TripSettings"},
-    "tube": {"": "suspnet.runs.tube.TubeStudy"},
     "vehicle": {"": "suspnet.vehicle.Vehicle"},
 }
 """Kinds and the class of each, by the key below which the object is configured; a class itself

@@ -59,7 +59,7 @@ SERVER = re.compile(r"\bpostgres(ql)?(\+\w+)?://")
 PASSWORD = re.compile(r"(?<=://)([^:/@]*):([^@]*)@|(?<=[?&])password=([^&'\"]*)&?")
 """Password in the URL of a server, after the user or as an option."""
 REMOVED = {
-    re.compile(r"'(?:\w+/)?(ablation|layouts|reliability)"): (
+    re.compile(r"'(?:\w+/)?(ablation|layouts|reliability|tube)"): (
         "is a script of the sources now: python benchmarks/{0}.py --help"
     ),
     re.compile(r"(plan\.(?:visit|costs|step_days|plan_again_risk))\b"): (

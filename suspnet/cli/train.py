@@ -39,7 +39,6 @@ from suspnet.runs.fit import check_hyperparameters
 from suspnet.runs.language import check_language, speaking
 from suspnet.runs.scores import Metrics
 from suspnet.runs.train import RunContext, speed_ranges, train, train_ranges
-from suspnet.runs.tube import write_tube
 from suspnet.trains.identification.healthy_trips import read_healthy
 from suspnet.trains.jobs.commissioning import check_generator, commission_parts, commission_trips
 from suspnet.trains.pages.commissioning_page import training_notes, write_outcome
@@ -75,9 +74,6 @@ def main(config: DictConfig) -> None:
     warnings.simplefilter("always", ConvergenceWarning)
     check_language(config.language)
     program.n_threads(config.threads)  # healthy trips are fitted before the models are
-    if config.get("tube"):
-        _study_tube(config, program.run_folder())
-        return
     ranks.start(config.device)
     config.n_healthy = read_numbers(config.n_healthy)
     folder, groups = program.run_folder(), suspensions(config)
@@ -139,22 +135,6 @@ def _run(
     ranges = [replace(r, direction=d) for r in _ranges(config, speeds) for d in directions]
     program.save_config(config, folder)
     train_ranges(ranges, lambda one, where: train_one(_bound(config, one), where), folder)
-
-
-def _study_tube(config: DictConfig, folder: Path) -> None:
-    check_values(HealthySettings, workers=config.workers)
-    study = build(config, "tube")
-    program.save_config(config, folder)
-    write_tube(
-        study,
-        build(config, "generator"),
-        build(config, "protocol"),
-        build(config, "data"),
-        folder,
-        seed=config.seed,
-        workers=config.workers,
-        progress=config.progress,
-    )
 
 
 def _at_a_speed(config: DictConfig) -> DictConfig:

@@ -250,9 +250,3 @@ def grid(
         axis.grid(True, which="both", alpha=0.3)
         axis.set_axisbelow(True)
     return figure, [list(row) for row in axes]
-
-
-def legend_above(figure: Figure) -> None:
-    """Add the legend of the first axes above all of them."""
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))

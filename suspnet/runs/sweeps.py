@@ -19,8 +19,6 @@ from suspnet.ground.core_yaml import read_yaml
 from suspnet.ground.ledger import HYDRA
 from suspnet.ground.storage import read_json, write_atomically, write_json
 from suspnet.runs import plots
-from suspnet.runs.fair import write_fair
-from suspnet.runs.readings import write_readings
 from suspnet.runs.tables import (
     markdown,
     records_csv,
@@ -266,7 +264,5 @@ SUMMARIES: Mapping[str, Callable[[Sequence[Run], Path, str], Any]] = {
     "table5": _write_table5,
     "sensitivity": _write_sensitivity,
     "by_output": _write_by_output,
-    "readings": lambda runs, folder, _: write_readings(runs, folder),
-    "fair": lambda runs, folder, _: write_fair(runs, folder),
 }
 """What a multirun may be summarised by, from metrics.json of its runs, its folder and a note."""

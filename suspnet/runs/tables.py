@@ -42,6 +42,8 @@ PUBLISHED = {
     ("c_s", "rmse"): {"msvr": 0.0739, "svr": 0.0972, "mvgpr": 0.1632, "linear": 0.2073},
 }
 """The figures of the paper's Table VI, for comparison only."""
+PAPER_METHODS = ("msvr", "svr", "mvgpr", "linear")
+"""Methods of Table VI, in its order, which is that of their errors."""
 
 Record = dict[str, Any]
 Row = TypeVar("Row", bound=Mapping[str, Any])
@@ -201,13 +203,6 @@ def mean_in_digits(records: Iterable[Record], key: str) -> str:
     """Return the mean of the values of a key that are not None, as ``in_digits`` does."""
     values = [record[key] for record in records if record[key] is not None]
     return in_digits(fmean(values) if values else None)
-
-
-def with_deviation(mean: float | None, deviation: float | None) -> str:
-    """Return a mean and its standard deviation as text; a dash for no mean."""
-    if mean is None:
-        return "-"
-    return f"{mean:.3g}" if deviation is None else f"{mean:.3g} ± {deviation:.2g}"
 
 
 def in_digits(value: float | None) -> str:
