@@ -1,22 +1,115 @@
 """The comments in configs/, from the sentences that settings are declared with."""
 
-from collections.abc import Iterator
+import functools
+import re
+import textwrap
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from suspnet.cli.commission_fleet import HealthySettings
-from suspnet.cli.config_files import CONFIGS, TABLES, Keys, read_comments
+from suspnet.cli.config_files import CONFIGS, TABLES
 from suspnet.cli.kinds import KINDS, class_of
 from suspnet.cli.program import THREADS
-from suspnet.cli.reference import filled
 from suspnet.cli.serve import ServeSettings
 from suspnet.cli.simulate import WORKERS
 from suspnet.curves.components import CurveFeatures
 from suspnet.curves.extraction import PeakFeatures
 from suspnet.depot.live.replay import Pace, Replay
+from suspnet.ground.core_yaml import LOADER
 from suspnet.ground.settings import Declared, settings_of
 from suspnet.trains.simulation.fleet import Trains
 from suspnet.trains.simulation.signals import Sensor
+
+COLUMNS = 100
+"""Longest line of the files."""
+Keys = tuple[str, ...]
+"""A key, after those that lead to it."""
+MERGE = "tag:yaml.org,2002:merge"
+BEHIND = re.compile(r"\s#\s*(.*)$")
+
+
+@dataclass(frozen=True)
+class Comments:
+    """Comments of a file, by the keys that lead to each key.
+
+    `above` holds the sentence on a key, `behind` the comment behind its value, `kinds` the `kind`
+    directly below it, `names` the outermost keys and `lines` the line and the column of each key,
+    from 0. Items of a list have the keys of the list. What an alias or a merged mapping repeats is
+    left out. `is_global`: the keys are those of a whole configuration, not of the file's group.
+    """
+
+    above: dict[Keys, str]
+    behind: dict[Keys, str]
+    kinds: dict[Keys, str]
+    names: list[str]
+    lines: dict[Keys, tuple[int, int]]
+    is_global: bool
+
+
+@functools.cache
+def read_comments(file: Path) -> Comments:
+    r"""Return the comments of a file.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "trip.yaml"
+    ...     _ = file.write_text("# A trip\n\n# Its length\n# [min]\nminutes: 20 # usable\n")
+    ...     phrase(file), read_comments(file).above, read_comments(file).behind
+    ('A trip', {('minutes',): 'Its length [min]'}, {('minutes',): 'usable'})
+    """
+    text = file.read_text(encoding="utf-8", errors="replace")
+    lines = text.splitlines()
+    comments = Comments({}, {}, {}, [], {}, text.startswith("# @package _global_\n"))
+    for keys, value, mark in _keys(yaml.compose(text, Loader=LOADER)):
+        comments.lines[keys] = (mark.line, mark.column)
+        if above := _above(lines, mark.line, mark.column):
+            comments.above[keys] = above
+        if behind := BEHIND.search(lines[mark.line]):
+            comments.behind[keys] = behind[1]
+        if keys[-1] == "kind":
+            comments.kinds[keys[:-1]] = str(value.value)
+        if len(keys) == 1:
+            comments.names.append(keys[0])
+    return comments
+
+
+def _above(lines: Sequence[str], number: int, column: int) -> str:
+    """Return the comment right above a key on one line; "" if that is the file's first comment."""
+    first = number
+    while first > 0 and lines[first - 1].startswith(" " * column + "#"):  # ends at the first line
+        first -= 1
+    return "" if first == 0 else " ".join(text.strip(" #") for text in lines[first:number])
+
+
+def _keys(root: yaml.Node | None) -> Iterator[tuple[Keys, yaml.Node, yaml.Mark]]:
+    """Yield each key of a document, after those that lead to it, with its value and position.
+
+    They come in the order of the document, so an anchor comes before its aliases.
+    """
+    stack: list[tuple[Keys, Any]] = [((), root)]
+    seen: set[int] = set()
+    while stack:  # each node is taken off once
+        keys, node = stack.pop()
+        if id(node) in seen:
+            continue
+        seen.add(id(node))
+        below: list[tuple[Keys, Any]] = []
+        if isinstance(node, yaml.SequenceNode):
+            below = [(keys, item) for item in node.value]
+        elif isinstance(node, yaml.MappingNode):
+            for key, value in node.value:
+                if key.tag != MERGE and isinstance(key, yaml.ScalarNode):
+                    name = (*keys, str(key.value))
+                    yield name, value, key.start_mark
+                    below.append((name, value))
+        stack += reversed(below)
+
 
 OF_PROGRAMS: dict[str, list[Declared]] = {
     "replay": [one for class_ in (Replay, Pace) for one in settings_of(class_).values()],
@@ -90,3 +183,15 @@ def wrapped(sentence: str, indent: str) -> list[str]:
     if f"[{rule}" in whole[-1]:
         return whole
     return filled(meaning, indent) + filled(f"[{rule}", indent)
+
+
+def filled(words: str, indent: str) -> list[str]:
+    """Return words as lines of at most `COLUMNS` characters, each after an indent."""
+    return textwrap.wrap(
+        words,
+        COLUMNS,
+        initial_indent=indent,
+        subsequent_indent=indent,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )

@@ -27,7 +27,6 @@ from layouts import layouts_markdown
 from tabulate import tabulate
 from tube import tube_markdown
 
-from suspnet.cli.config_files import read_comments
 from suspnet.cli.kinds import read_vehicles
 from suspnet.ground.storage import write_atomically
 from suspnet.runs.tables import MODEL_TITLES, table6_caption, table6_markdown
@@ -477,7 +476,7 @@ def main() -> None:
     Parser(description=__doc__.splitlines()[0]).parse_args()
     for path in sorted((ROOT / "configs").rglob("*.yaml")):
         write(path, config_comments.commented(path))
-    read_comments.cache_clear()
+    config_comments.read_comments.cache_clear()
     for path in PAGES:
         new, missing = filled(path.read_text(encoding="utf-8"))
         write(path, new, f"; no results for {', '.join(missing)}" if missing else "")

@@ -31,8 +31,8 @@ from hydra.errors import HydraException, InstantiationException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from suspnet.cli import folders, reference, signals
-from suspnet.cli.config_files import CONFIGS, as_written, read_values, store_tables
+from suspnet.cli import folders, signals
+from suspnet.cli.config_files import CONFIGS, as_written, read_values, register_help, store_tables
 from suspnet.cli.loader import CheckedLoader
 from suspnet.cli.typed_words import as_overrides, quoted
 from suspnet.ground import progress
@@ -77,7 +77,7 @@ is_debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
 
 store_tables()
 folders.register()
-reference.register()
+register_help()
 
 
 def main(name: str) -> None:
