@@ -476,7 +476,7 @@ def test_broken_manifests_are_told(manifests, tmp_path):
     done = typed(check, tmp_path, "--no-pictures", "-o", tmp_path / "o", cwd=tmp_path)
     assert done.returncode == 1
     assert errors(done) == ""
-    assert done.stderr.startswith("trips: 0 of 40\n")
+    assert done.stderr.startswith("trips: 0 of 40 [")
     trips = found_in(tmp_path / "o")["trips"]
     assert len(trips) == 40
     for trip in trips:
