@@ -55,12 +55,7 @@ class OwnFolder(Callback):
 
     def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Choose the folder before Hydra makes it."""
-        before = HydraConfig.instance().cfg
-        HydraConfig.instance().set_config(config)  # interpolations in the folder's name read it
-        try:
-            _choose(config, "run")
-        finally:
-            HydraConfig.instance().cfg = before
+        _choose(config, "run")
         if OmegaConf.select(config, "trips") is not None:
             to_resume[:] = [config.hydra.run.dir]
 
@@ -121,6 +116,8 @@ def _choose(config: DictConfig, kind: str) -> None:
     to_resume.clear()
     made_folders.clear()
     named = OmegaConf.select(config, "resume")
+    before = HydraConfig.instance().cfg
+    HydraConfig.instance().set_config(config)  # interpolations in the folder's name read it
     try:
         if named is not None:
             folder = Path(str(named))
@@ -136,6 +133,8 @@ def _choose(config: DictConfig, kind: str) -> None:
         goes_on = ledger.begin(folder)
     except OSError as error:
         raise SystemExit(f"error: {error.filename}: {error.strerror}") from error
+    finally:
+        HydraConfig.instance().cfg = before
     changed: dict[str, str | None] = {f"hydra.{kind}.dir": str(folder)}
     if goes_on:  # Hydra would write its own files again, and add to the log
         name = f"{config.hydra.job.name}_{datetime.now():%Y-%m-%d_%H-%M-%S}"
@@ -246,9 +245,8 @@ MAX_BYTES = 100
 
 
 def register() -> None:
-    """Register ${changed:...}, ${swept_by:} and ${unless_healthy:...} with OmegaConf."""
+    """Register ${changed:...} and ${unless_healthy:...} with OmegaConf."""
     OmegaConf.register_new_resolver("changed", _changed, replace=True)
-    OmegaConf.register_new_resolver("swept_by", _swept_by, replace=True)
     OmegaConf.register_new_resolver("unless_healthy", _unless_healthy, replace=True)
 
 
@@ -260,8 +258,9 @@ def swept() -> list[str]:
     config = HydraConfig.get()
     if config.mode != RunMode.MULTIRUN:
         return []
-    file = Path(config.sweep.dir) / "multirun.yaml"
-    if not file.is_file():  # composed for one job of a multirun, not by a multirun
+    folder = OmegaConf.to_container(config.sweep)["dir"]  # a multirun sets it before its first job
+    file = Path(folder) / ledger.MULTIRUN
+    if "${" in folder or not file.is_file():
         return []
     whole = read_yaml(file)["hydra"]
     typed = OverridesParser.create().parse_overrides(whole["overrides"]["task"])
@@ -281,35 +280,16 @@ def varied(config: DictConfig) -> dict[str, Any]:
 def _changed(*known: str) -> str:
     """Return the name of a run: what a multirun varies, or else what the command line sets.
 
-    The keys `known` are left out, as the path shows them anyway.
+    The keys `known` are left out, as the path shows them anyway. Of a multirun it is the name of
+    what the command line sets for all its runs.
     """
-    config = HydraConfig.get()
-    varied = swept()
+    config, named = HydraConfig.get(), swept()
     settings = dict(_split(override) for override in config.overrides.task)
     return joined_name(
         _word(key, value, key in config.runtime.choices)
         for key, value in settings.items()
-        if key not in known and (key in varied if config.mode == RunMode.MULTIRUN else True)
+        if key not in known and (key in named or not named)
     )
-
-
-def _swept_by(_root_: DictConfig) -> str:
-    """Return the name of a multirun: the settings of all its runs, and the keys that vary.
-
-    Hydra copies the cache of resolvers to each job of a multirun, so that all use the same folder.
-    """
-    cache = OmegaConf.get_cache(_root_)["swept_by"]
-    if "hydra" not in _root_:
-        return ""
-    if "name" not in cache:
-        config = _root_.hydra
-        words = []
-        for override in OverridesParser.create().parse_overrides(list(config.overrides.task)):
-            key, value = _split(override.input_line or "")
-            varies = override.is_sweep_override()
-            words.append(_word(key, "" if varies else value, key in config.runtime.choices))
-        cache["name"] = joined_name(words)
-    return str(cache["name"])
 
 
 def _unless_healthy(usual: float, _root_: DictConfig) -> float | None:
