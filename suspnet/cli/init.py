@@ -171,8 +171,8 @@ def _known_vehicles(folder: Path | None, trips: Sequence[folders.Trip]) -> list[
             printable(
                 f"{name} is no vehicle of suspnet's: say vehicle=am96 or another of them if that "
                 "is a number of the train, or give --config-dir DIR, the folder with "
-                f"vehicle/{name}.yaml ({command('init', '--vehicle', name)} lists what it "
-                "needs); without it swapped sensors, units and signs are not checked"
+                f"vehicle/{name}.yaml ({command('init', '--vehicle', name)} writes "
+                "one to fill in); without it swapped sensors, units and signs are not checked"
             )
         )
     return ["--config-dir", "DIR"] if own else []

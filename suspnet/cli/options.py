@@ -33,11 +33,11 @@ Write the manifests of all trips of a folder, or of one trip, from data files: t
 the rates and units that the files state. Which column is which channel is guessed from names (axle
 box, bogie frame, body, left, right, speed; in English or German) and marked as a guess. What is
 missing for a folder is one list, and nothing is written; in the manifest of one trip it is marked
-FILL_IN. With --vehicle, write the file of a vehicle."""
+FILL_IN. With --vehicle, write the file of a vehicle to be filled in."""
 INIT_EPILOG = """\
   suspnet init trips/car7                       what is missing for the manifests of all trips?
   suspnet init trips/car7 vehicle=am96 suspension="car 7" --table km.csv
-  suspnet init --vehicle mine vehicles          what numbers does the file of a vehicle need?
+  suspnet init --vehicle mine vehicles          the file of a vehicle, to be filled in
   suspnet init trip_7/*.csv -o trip_7.yaml      then fill in what is marked, and
   suspnet check trip_7.yaml"""
 HISTORY_DESCRIPTION = """\
@@ -133,7 +133,7 @@ def init_parser() -> ArgumentParser:
         nargs="*",
         metavar="DIR | FILE | KEY=VALUE",
         help="folder of data files of any number of trips and, as KEY=VALUE, what holds for all of "
-        "them; or data files of one trip; of --vehicle the folder of vehicles and its numbers "
+        "them; or data files of one trip; of --vehicle the folder of vehicles "
         f"[paths with {', '.join(sorted(READERS))}]",
     )
     parser.add_argument(
@@ -154,8 +154,8 @@ def init_parser() -> ArgumentParser:
     parser.add_argument(
         "--vehicle",
         metavar="NAME",
-        help="write the file of a vehicle, DIR/vehicle/NAME.yaml, from its numbers KEY=VALUE; "
-        "without them, list what each is, and which matter little [name; DIR is vehicles]",
+        help="write the file of a vehicle, DIR/vehicle/NAME.yaml, in which you fill in the numbers "
+        "[name; DIR is vehicles]",
     )
     parser.add_argument(
         "-o",
