@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_origin
 
 import yaml
 
@@ -121,6 +121,57 @@ OF_PROGRAMS: dict[str, list[Declared]] = {
 """Settings of programs that are no object's."""
 
 
+NUMBERS = {2: "two numbers", 3: "three numbers", 4: "four numbers"}
+"""Name of a list of numbers by its length."""
+
+
+def text(declared: Declared) -> str:
+    """Return the description of a setting, followed by unit and range in brackets."""
+    return f"{declared.setting.sentence} [{rule(declared)}]"
+
+
+def rule(declared: Declared) -> str:
+    """Return unit and range of a setting."""
+    setting, choices = declared.setting, declared.choices
+    if setting.rule:
+        return setting.rule + "; or null" * (declared.is_optional and setting.rule != "null")
+    several = (
+        NUMBERS.get(len(get_args(declared.type)), "") if get_origin(declared.type) is tuple else ""
+    )
+    kind = "whole number" if declared.type is int else several
+    words = [
+        ", ".join(filter(None, [kind, setting.unit])),
+        "true or false" * (declared.type is bool),
+        " or ".join(filter(None, [", ".join(map(str, choices[:-1])), *choices[-1:]])),
+        bounds(declared),
+        "or null" * declared.is_optional,
+    ]
+    return "; ".join(filter(None, words))
+
+
+def bounds(declared: Declared) -> str:
+    """Return the range of a setting."""
+    setting = declared.setting
+    high = setting.most if setting.high is None else setting.high
+    if setting.low is not None and high is not None:
+        return f"{short(setting.low)} to {short(high)}"
+    ends = {
+        "above": setting.above,
+        "at least": setting.low,
+        "below": setting.below,
+        "at most": high,
+    }
+    return " and ".join(f"{name} {short(end)}" for name, end in ends.items() if end is not None)
+
+
+def short(number: float) -> str:
+    """Return a bound as text; round values from 1e4 on as powers of ten."""
+    power = f"{number:.0e}".replace("e+0", "e").replace("e+", "e")
+    if abs(number) >= 1e4 and float(power) == number:
+        return power
+    return f"{number:.15g}"
+
+
 def declaring() -> Iterator[tuple[str, str, Keys, Any]]:
     """Yield place, kind, path and class of everything that declares settings."""
     for place, kinds in KINDS.items():
@@ -135,7 +186,7 @@ def declaring() -> Iterator[tuple[str, str, Keys, Any]]:
 def declared() -> dict[tuple[str, str, Keys], str]:
     """Return the sentence on each setting, by place, kind and key of its object."""
     return {
-        (place, kind, (*path, name)): one.text
+        (place, kind, (*path, name)): text(one)
         for place, kind, path, class_ in declaring()
         for name, one in settings_of(class_).items()
     }
@@ -148,7 +199,7 @@ def commented(file: Path) -> str:
     """
     sentences, comments = declared(), read_comments(file)
     programs = OF_PROGRAMS if file.parent == Path(CONFIGS) else {}
-    of_program = {(one.name,): one.text for one in programs.get(file.stem, ())}
+    of_program = {(one.name,): text(one) for one in programs.get(file.stem, ())}
     lines = file.read_text(encoding="utf-8").splitlines(keepends=True)
     for keys in reversed(comments.above):  # from the last line on, so that numbers of lines hold
         known = [sentences[one] for one in objects_of(file, keys) if one in sentences]

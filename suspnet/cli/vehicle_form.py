@@ -64,11 +64,13 @@ def write_vehicle(name: str, paths: Sequence[Path], words: Sequence[str], force:
         raise ValueError(f"{path} exists; --force replaces it")
     lines = [f"# {name}: numbers are SI and of one bogie side; fill in each {FILL_IN}"]
     lines.append(f"name: {name}")
-    for key, setting in settings_of(Vehicle).items():
+    for key, declared in settings_of(Vehicle).items():
         if key in FORM:
             value, found = FORM[key]
-            sentence = re.sub(r"; .*", "", setting.setting.sentence)
-            lines += ["", f"# {sentence} [{setting.rule}]", f"# {found}", f"{key}: {value}"]
+            setting = declared.setting
+            sentence = re.sub(r"; .*", "", setting.sentence)
+            lines += ["", f"# {sentence} [{setting.unit or setting.rule or 'share'}]"]
+            lines += [f"# {found}", f"{key}: {value}"]
     write_atomically(path, "\n".join(lines) + "\n", force=force)
     option = "--config-dir", path.parents[1]
     print(

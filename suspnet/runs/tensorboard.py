@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self
 
@@ -105,30 +105,26 @@ class RunLog:
         values: Mapping[str, Any],
         metrics: Mapping[str, float],
         varied: Mapping[str, Any] | None = None,
-        *,
-        columns: Mapping[str, Any] = HYPERPARAMETERS,
-        metric_columns: Sequence[str] = METRIC_COLUMNS,
-        first: Sequence[str] = ("model",),
     ) -> None:
-        """Write hyperparameters and final metrics for the HPARAMS tab, in the given columns.
+        """Write hyperparameters and final metrics for the HPARAMS tab.
 
         `SummaryWriter.add_hparams` would create a folder of its own below the run's; these
         summaries go into the run's own file, so that a run is one row of the table and one line of
         the parallel coordinates. TensorBoard takes the columns from whichever run it meets first,
         so every run of a multirun declares the same columns and fills in those it has. TensorBoard
-        shows the columns declared to differ first, in alphabetical order: here those of `first` and
-        the parameters that the multirun varies, `varied`.
+        shows the columns declared to differ first, in alphabetical order: here the model and the
+        parameters that the multirun varies, `varied`.
         """
         varied = {_column(key): _plain(value) for key, value in (varied or {}).items()}
-        finals = {f"final/{name}": 0.0 for name in metric_columns}
+        finals = {f"final/{name}": 0.0 for name in METRIC_COLUMNS}
         # columns are the same for all runs; TensorBoard shows those that "differ" first
-        experiment, _, end = hparams({**columns, **varied}, finals)
+        experiment, _, end = hparams({**HYPERPARAMETERS, **varied}, finals)
         content = experiment.value[0].metadata.plugin_data
         declared = HParamsPluginData.FromString(content.content)
         for info in declared.experiment.hparam_infos:
-            info.differs = info.name in {*first, *varied}
+            info.differs = info.name in {"model", *varied}
         content.content = declared.SerializeToString()
-        own = {k: v for k, v in values.items() if k in columns and v is not None}
+        own = {k: v for k, v in values.items() if k in HYPERPARAMETERS and v is not None}
         _, start, _ = hparams(own | varied, finals)
         for summary in (experiment, start, end):
             self._writer._get_file_writer().add_summary(summary)
