@@ -41,8 +41,6 @@ notice."""
 EXIT_CODE = "exit_code"
 """File with the exit code in the folder of each job of a multirun."""
 to_resume: list[str] = []
-made_folders: list[Path] = []
-"""The folder that this run has made under a name of its own; none of a multirun."""
 
 
 class OwnFolder(Callback):
@@ -114,7 +112,6 @@ def how_to_resume() -> str:
 def _choose(config: DictConfig, kind: str) -> None:
     """Choose the folder of a run or "sweep", pass it to the sweep's jobs, and start its ledger."""
     to_resume.clear()
-    made_folders.clear()
     named = OmegaConf.select(config, "resume")
     before = HydraConfig.instance().cfg
     HydraConfig.instance().set_config(config)  # interpolations in the folder's name read it
@@ -129,7 +126,6 @@ def _choose(config: DictConfig, kind: str) -> None:
             folder = Path(config.hydra[kind].dir)
         else:
             folder = new_folder(_below_outputs(Path(config.hydra[kind].dir)))
-            made_folders[:] = [folder.absolute()] * (kind == "run")
         goes_on = ledger.begin(folder)
     except OSError as error:
         raise SystemExit(f"error: {error.filename}: {error.strerror}") from error
@@ -144,19 +140,6 @@ def _choose(config: DictConfig, kind: str) -> None:
             OmegaConf.update(config, key, value)
             if kind == "sweep":
                 config.hydra.overrides.hydra.append(f"{key}={quoted(value) if value else 'null'}")
-
-
-def remove_unused(folder: Path) -> None:
-    """Remove the folder that this run has made if it holds no more than Hydra's files and a log."""
-    if folder not in made_folders:
-        return
-    every = sorted(folder.rglob("*"), reverse=True)  # what is in a folder before the folder
-    unused = (folder / ledger.LEDGER, folder / ledger.HYDRA, *folder.glob("*.log"))
-    if all(path in unused or path.parent == folder / ledger.HYDRA for path in every):
-        for path in every:
-            is_folder = path.is_dir() and not path.is_symlink()
-            path.rmdir() if is_folder else path.unlink()
-        folder.rmdir()
 
 
 def _below_outputs(folder: Path) -> Path:

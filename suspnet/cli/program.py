@@ -65,6 +65,12 @@ REMOVED = {
     re.compile(r"(plan\.(?:visit|costs|step_days|plan_again_risk))\b"): (
         "is gone: plan.risk, bundle_days and reach_km set what is done when"
     ),
+    re.compile(r"'(?:\w+/)?(sensitivity)"): (
+        "is gone: experiment=paper draws Fig. 11, and -m data.snr_db=26,34,54 lists errors"
+    ),
+    re.compile(r"override '(token_file)'"): (
+        "is gone: the environment variable SUSPNET_API_TOKEN_FILE names the file"
+    ),
     re.compile(r"override '(experiment)'"): (
         "is of train.py, studies are of evaluate.py: python train.py experiment=NAME"
     ),
@@ -293,7 +299,6 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
             if is_debugging or not (isinstance(error, MISTAKES) or folders.is_job()):
                 raise
             if isinstance(error, MISTAKES):
-                folders.remove_unused(run_folder())
                 line = one_line(error)
             else:
                 line = f"error: {note_bug(error, run_folder())}"

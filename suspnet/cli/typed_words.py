@@ -20,7 +20,7 @@ MAPPINGS = ("n_healthy",)
 """Keys of a number or a mapping from names of folders; the program reads the mapping as text."""
 PATHS = (
     *("healthy", "journal", "notify", "out", "resume", "store", "suspensions"),
-    *("token_file", "trips", "data.cache_dir", "source.folder", "sink.folder"),
+    *("trips", "data.cache_dir", "source.folder", "sink.folder"),
     *(f"{end}.broker.{key}_file" for end in ("source", "sink") for key in ("ca", "cert", "key")),
 )
 """Keys of one path. In the files of configurations their unit is ``path``."""

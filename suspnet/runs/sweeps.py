@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -24,8 +23,6 @@ from suspnet.runs import plots
 from suspnet.runs.tables import (
     markdown,
     records_csv,
-    sensitivity_markdown,
-    sensitivity_records,
     table6_caption,
     table6_markdown,
     table6_records,
@@ -254,34 +251,9 @@ def _search_record(run: Run) -> dict[str, Any]:
     }
 
 
-def _write_sensitivity(runs: Sequence[Run], folder: Path, note: str) -> None:
-    """Write MAPE against sensor precision (Fig. 11)."""
-    records = sensitivity_records(runs)
-    table = sensitivity_markdown(records)
-    figures = {"sensitivity": plots.sensitivity(runs)}
-    title = "MAPE against sensor precision"
-    write_study(folder, "sensitivity", title, f"{table}\n", records, records, figures)
-
-
-def _write_by_output(runs: Sequence[Run], folder: Path, note: str) -> None:
-    """Write the MAPE of every output, a row for each setting that varies but the group."""
-    files = sorted(folder.glob("*/metrics.json"))
-    scores = {path.parent.name: read_json(path)["scores"] for path in files}
-    rows: dict[str, dict[str, Any]] = {}
-    for swept in with_swept(folder, [{"job": job} for job in scores]):
-        settings = {key: swept[key] for key in swept if key not in ("job", "group")}
-        row = rows.setdefault(json.dumps(settings), settings)
-        row |= {output: values["mape_percent"] for output, values in scores[swept["job"]].items()}
-    records = list(rows.values())
-    table = tabulate(records, "keys", "github", floatfmt=".3g", missingval="-")
-    write_study(folder, "by_output", "MAPE in %", f"{table}\n", records, records)
-
-
 SUMMARIES: Mapping[str, Callable[[Sequence[Run], Path, str], Any]] = {
     "comparison": _write_comparison,
     "table6": write_table6,
     "table5": _write_table5,
-    "sensitivity": _write_sensitivity,
-    "by_output": _write_by_output,
 }
 """What a multirun may be summarised by, from metrics.json of its runs, its folder and a note."""

@@ -2,7 +2,9 @@
 
 import math
 import re
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -21,6 +23,7 @@ from suspnet.ground.settings import (
 )
 from suspnet.trains.simulation.signals import Sensor
 
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 CLASSES = [
     *(class_of(place, kind) for place, kinds in KINDS.items() for kind in kinds if kind != "best"),
     *(Sensor, CurveFeatures, PeakFeatures),

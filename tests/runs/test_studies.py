@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from suspnet.runs.tables import PUBLISHED
 
@@ -184,3 +185,20 @@ def test_table_has_the_ratios_over_seeds():
     table = tube_markdown([record | percents | {"joint_percent": v} for v in (9.0, 11.0)])
     assert "steps of 20 %" in table
     assert "1.00 ± 0.14 (0.80), 0.50" in table
+
+
+def test_outputs_of_all_groups_stand_in_the_row_of_their_settings(tmp_path):
+    for n, (group, output, n_train, mape) in enumerate(
+        [("I", "k_p", 5, 4.0), ("II", "k_s", 5, 3.0), ("I", "k_p", 9, 2.0), ("II", "k_s", 9, 1.0)]
+    ):
+        (tmp_path / f"{n}" / ".hydra").mkdir(parents=True)
+        overrides = [f"group={group}", f"data.n_train={n_train}", "seed=0"]
+        (tmp_path / f"{n}" / ".hydra" / "overrides.yaml").write_text(yaml.safe_dump(overrides))
+        metrics = {"scores": {output: {"mape_percent": mape}}}
+        (tmp_path / f"{n}" / "metrics.json").write_text(json.dumps(metrics))
+    write_whole_grid([], tmp_path)
+    with open(tmp_path / "whole_grid.csv", newline="") as file:
+        assert list(csv.DictReader(file)) == [
+            {"data.n_train": "5", "k_p": "4.0", "k_s": "3.0"},
+            {"data.n_train": "9", "k_p": "2.0", "k_s": "1.0"},
+        ]

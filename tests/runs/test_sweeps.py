@@ -107,23 +107,6 @@ def test_error_over_an_infinite_bound_is_a_dash_not_zero(tmp_path):
     assert shown["0"]["k_p/bound"] == "6"
 
 
-def test_outputs_of_all_groups_stand_in_the_row_of_their_settings(tmp_path):
-    for n, (group, output, n_train, mape) in enumerate(
-        [("I", "k_p", 5, 4.0), ("II", "k_s", 5, 3.0), ("I", "k_p", 9, 2.0), ("II", "k_s", 9, 1.0)]
-    ):
-        (tmp_path / f"{n}" / ".hydra").mkdir(parents=True)
-        overrides = [f"group={group}", f"data.n_train={n_train}", "seed=0"]
-        (tmp_path / f"{n}" / ".hydra" / "overrides.yaml").write_text(yaml.safe_dump(overrides))
-        metrics = {"scores": {output: {"mape_percent": mape}}}
-        (tmp_path / f"{n}" / "metrics.json").write_text(json.dumps(metrics))
-    ended(Summary("by_output"), tmp_path)
-    with open(tmp_path / "by_output.csv", newline="") as file:
-        assert list(csv.DictReader(file)) == [
-            {"data.n_train": "5", "k_p": "4.0", "k_s": "3.0"},
-            {"data.n_train": "9", "k_p": "2.0", "k_s": "1.0"},
-        ]
-
-
 def test_table_of_jobs_has_a_column_for_each_swept_setting(tmp_path):
     sweep(tmp_path)
     for name, c, seed in (("0", 1, 0), ("1", 1, 1), ("3", 2, 0), ("4", 2, 1)):

@@ -10,9 +10,9 @@ from suspnet.learning import METHODS
 from suspnet.runs.tables import (
     MODEL_TITLES,
     PUBLISHED,
+    precision_percent,
     records_csv,
     scores_table,
-    sensitivity_records,
     table6_caption,
     table6_markdown,
     table6_records,
@@ -177,18 +177,9 @@ def test_caption_adds_the_seconds_of_each_model(records):
     assert "MSVR 5.0 s, MV-LR 0.8 s" in caption
 
 
-def test_sensitivity_records_give_the_precision_of_the_sensor():
-    records = sensitivity_records(
-        [run("msvr", ("c_p", "k_p"), snr_db=snr) for snr in (54.0, 34.0, 26.0)]
-    )
-    assert [(r["output"], r["snr_db"]) for r in records] == [
-        (output, snr) for output in ("k_p", "c_p") for snr in (26.0, 34.0, 54.0)
-    ]
-    # section III-E: 34 dB is a precision of 2 %
-    precision = [r["precision_percent"] for r in records[:3]]
+def test_noise_of_34_db_is_a_precision_of_2_percent():  # section III-E
+    precision = [precision_percent(snr_db) for snr_db in (26.0, 34.0, 54.0)]
     assert precision == pytest.approx([5.01, 2.0, 0.2], rel=4e-3)
-    assert [r["mape_percent"] for r in records] == [2.5] * 3 + [1.5] * 3
-    assert [r["bound"] for r in records] == [1.125] * 3 + [0.125] * 3
 
 
 SCORES = ["output", "MAPE %", "bound", "RMSE", "bound", "Cramer-Rao sd %", "rms / bound"]

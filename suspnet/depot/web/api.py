@@ -220,7 +220,10 @@ def _query(model: type[Query]) -> Query:
 def _body(query: type[BaseModel], model: type[Query]) -> Query:
     """Return the body of a request with a token; abort with 401 or 403 if it has none."""
     if not current_access().token:
-        abort(403, "No token of programs is configured: start suspnet-serve with token_file=FILE.")
+        abort(
+            403,
+            "No token of programs is configured: give suspnet-serve SUSPNET_API_TOKEN_FILE=FILE.",
+        )
     if not visitor().has_token:
         abort(401, "Acknowledging needs a token: send Authorization: Bearer TOKEN.")
     _query(query)
