@@ -51,8 +51,6 @@ def main() -> None:
         _print(HELP)
     elif first in ("-V", "--version"):
         _print(f"suspnet {__version__}")
-    elif first == "completion":
-        sys.exit("error: there is no completion any more: take its line out of ~/.bashrc")
     else:
         near = get_close_matches(first, PROGRAMS, n=1)
         meant = f"did you mean {near[0]}? " if near else ""

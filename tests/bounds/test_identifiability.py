@@ -38,8 +38,12 @@ from suspnet.curves.curves import CurveSettings
 from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.problem import TEST
 from suspnet.curves.protocols import RESPONSES
-from suspnet.runs.findings import best_addition_sentence, group_markdown
-from suspnet.runs.identifiability import identifiability_figure, identify
+from suspnet.runs.identifiability import (
+    best_addition_sentence,
+    group_markdown,
+    identifiability_figure,
+    identify,
+)
 from suspnet.vehicle import PARAMETERS, QuarterCar, VerticalVehicle
 
 ROOT = Path(__file__).parents[2]

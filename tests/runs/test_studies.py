@@ -18,6 +18,7 @@ pytest.importorskip("tube", reason="needs benchmarks")
 from fair import fair_records, write_fair
 from readings import METHODS, OUTPUTS, compare, write_readings
 from tube import label, tube_markdown, with_errors, write_tube
+from whole_grid import write_whole_grid
 
 
 def fair_run(model, seed, mape, search="fair", edges=()):

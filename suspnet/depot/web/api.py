@@ -222,7 +222,7 @@ def _body(query: type[BaseModel], model: type[Query]) -> Query:
     if not current_access().token:
         abort(
             403,
-            "No token of programs is configured: give suspnet-serve SUSPNET_API_TOKEN_FILE=FILE.",
+            "No token of programs is configured: SUSPNET_API_TOKEN_FILE=FILE names it.",
         )
     if not visitor().has_token:
         abort(401, "Acknowledging needs a token: send Authorization: Bearer TOKEN.")
