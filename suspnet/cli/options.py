@@ -67,59 +67,24 @@ def _parser(name: str, description: str, epilog: str) -> ArgumentParser:
 def check_parser() -> ArgumentParser:
     """Return the options of suspnet check."""
     parser = _parser("suspnet check", CHECK_DESCRIPTION, CHECK_EPILOG)
-    parser.add_argument(
-        "trips",
-        nargs="+",
-        type=Path,
-        metavar="DIR",
-        help="folder with a manifest (*.yaml) for each trip, or with subfolders that hold them; or "
-        "a manifest [one or more paths]",
-    )
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="DIR",
-        help="folder of page, JSON and pictures: a new one, or that of an earlier check [path; "
-        "outputs/check/TIME if not given]",
-    )
-    parser.add_argument(
-        "--language",
-        default="en",
-        choices=("en", "de"),
-        help="language of page and pictures; check.json and the terminal are English [en]",
-    )
-    parser.add_argument(
-        "--no-pictures", action="store_true", help="draw nothing, which is faster [switch]"
-    )
-    parser.add_argument(
-        "--workers",
-        type=int,
-        metavar="N",
-        help="number of trips that are read at the same time, each in a process [whole number; at "
-        "least 1; 2 for more than 10 trips and 1 for fewer if not given]",
-    )
-    parser.add_argument(
-        "--config-dir",
-        type=Path,
-        metavar="DIR",
-        help="folder with your own vehicles, vehicle/NAME.yaml, as for train.py [path; none if not "
-        "given]",
-    )
-    parser.add_argument(
-        "--run",
-        type=Path,
-        action="append",
-        metavar="DIR",
-        help="folder of a training whose models must read the trips, as of evaluate.py; may be "
-        "given several times [path; none if not given]",
-    )
-    parser.add_argument(  # taken off before: it is here for --help
-        "--plugin",
-        action="append",
-        metavar="FILE",
-        help="Python file of yours that is run first and registers the methods of --run [path]",
-    )
+    add = parser.add_argument
+    trips = "folder of manifests (*.yaml), or of such folders; or a manifest [one or more paths]"
+    add("trips", nargs="+", type=Path, metavar="DIR", help=trips)
+    output = "folder of the results, new or of an earlier check [path; outputs/check/TIME]"
+    add("-o", "--output", type=Path, metavar="DIR", help=output)
+    language = "language of page and pictures; check.json and the terminal are English [en]"
+    add("--language", default="en", choices=("en", "de"), help=language)
+    pictures = "draw nothing, which is faster [switch]"
+    add("--no-pictures", action="store_true", help=pictures)
+    workers = "number of processes that read trips [whole number; at least 1; 1 up to 10 trips]"
+    add("--workers", type=int, metavar="N", help=workers)
+    own = "folder with your own vehicles, vehicle/NAME.yaml, as for train.py [path; none]"
+    add("--config-dir", type=Path, metavar="DIR", help=own)
+    run = "training whose models must read the trips; may be given several times [path; none]"
+    add("--run", type=Path, action="append", metavar="DIR", help=run)
+    # taken off before: it is here for --help
+    plugin = "Python file of yours that is run first and registers the methods of --run [path]"
+    add("--plugin", action="append", metavar="FILE", help=plugin)
     return parser
 
 
@@ -128,46 +93,28 @@ def init_parser() -> ArgumentParser:
     from suspnet.trains.recordings.formats import READERS  # with pyarrow
 
     parser = _parser("suspnet init", INIT_DESCRIPTION, INIT_EPILOG)
-    parser.add_argument(
-        "files",
-        nargs="*",
-        metavar="DIR | FILE | KEY=VALUE",
-        help="folder of data files of any number of trips and, as KEY=VALUE, what holds for all of "
+    add = parser.add_argument
+    files = (
+        "folder of data files of any number of trips and, as KEY=VALUE, what holds for all of "
         "them; or data files of one trip; of --vehicle the folder of vehicles "
-        f"[paths with {', '.join(sorted(READERS))}]",
+        f"[paths with {', '.join(sorted(READERS))}]"
     )
-    parser.add_argument(
-        "--config-dir",
-        type=Path,
-        metavar="DIR",
-        help="folder with your own vehicles, vehicle/NAME.yaml: the trips' vehicle must be one of "
-        "them or of suspnet's [path; none if not given]",
-    )
-    parser.add_argument(
-        "--table",
-        type=Path,
-        metavar="FILE",
-        help="of a folder: table of its trips with columns file, mileage_km, start, direction and "
+    add("files", nargs="*", metavar="DIR | FILE | KEY=VALUE", help=files)
+    own = "folder with your own vehicles, vehicle/NAME.yaml [path; none]"
+    add("--config-dir", type=Path, metavar="DIR", help=own)
+    table = (
+        "of a folder: table of its trips with columns file, mileage_km, start, direction and "
         "other keys of a manifest, names in English or German; if there is no such file and "
-        "mileages are missing, it is written to be filled in [path of a CSV file]",
+        "mileages are missing, it is written to be filled in [path of a CSV file]"
     )
-    parser.add_argument(
-        "--vehicle",
-        metavar="NAME",
-        help="write the file of a vehicle, DIR/vehicle/NAME.yaml, in which you fill in the numbers "
-        "[name; DIR is vehicles]",
+    add("--table", type=Path, metavar="FILE", help=table)
+    vehicle = (
+        "write DIR/vehicle/NAME.yaml, in which you fill in the numbers [name; DIR is vehicles]"
     )
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="FILE",
-        help="the manifest to write [path that ends with .yaml; FIRST.yaml next to the first data "
-        "file if not given]",
-    )
-    parser.add_argument(
-        "--force", action="store_true", help="replace the manifest if there is one [switch]"
-    )
+    add("--vehicle", metavar="NAME", help=vehicle)
+    output = "the manifest of one trip [path that ends with .yaml; next to the first data file]"
+    add("-o", "--output", type=Path, metavar="FILE", help=output)
+    add("--force", action="store_true", help="replace the manifest if there is one [switch]")
     return parser
 
 

@@ -10,7 +10,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, ListConfig
 from sklearn.exceptions import ConvergenceWarning
 
@@ -91,8 +90,7 @@ def main(config: DictConfig) -> None:
         train_fleet(config, folder, groups, _run)
     else:
         folders.start_again(folder)
-        is_first = not folders.is_job() or HydraConfig.get().job.num == 0
-        _run(config, folder, varied=folders.varied(config), draw=is_first)
+        _run(config, folder, varied=folders.varied(config))
     if groups:
         read = command("evaluate", f"trips={config.healthy}", f"run={folder}")
         log.info("then run: %s", read)
@@ -103,12 +101,11 @@ def _run(
     folder: Path,
     paths: Sequence[ManifestFile] | None = None,
     varied: Mapping[str, Any] | None = None,
-    draw: bool = True,
 ) -> None:
     """Train the models of one suspension and fill a folder.
 
     `paths`: manifests of its healthy trips, None is all of the folder; `varied`: what a multirun
-    varies; `draw`: whether to draw figures of the vehicle.
+    varies.
     """
     # refuse wrong settings before minutes of healthy trips and curves
     protocol = build(config, "protocol")
@@ -124,7 +121,7 @@ def _run(
         ends = (f"{of(healthy.speeds_m_per_s):.1f}" for of in (min, max))
         log.info("healthy trips at %s m/s: %s", span(*ends), setting_words(speeds))
     directions = _directions(config, healthy)
-    train_one = partial(_train, healthy=healthy, varied=varied, draw=draw)
+    train_one = partial(_train, healthy=healthy, varied=varied)
     if not isinstance(speeds, ListConfig | list) and len(directions) == 1:
         own = config.copy()
         own.speed_m_per_s = speeds
@@ -269,7 +266,6 @@ def _train(
     folder: Path,
     healthy: _Healthy | None,
     varied: Mapping[str, Any] | None,
-    draw: bool,
     given: DictConfig | None = None,
 ) -> Metrics:
     """Train one model and fill a folder; config.yaml holds `given`, or else `config`."""
@@ -296,7 +292,6 @@ def _train(
         context=RunContext(
             config=resolved,
             varied=varied,
-            draw_vehicle=draw,
             notes={"commissioned": healthy.notes} if healthy else {},
             residual=healthy.residual if healthy else None,
             bogie=healthy.bogie if healthy else None,

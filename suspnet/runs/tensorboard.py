@@ -45,10 +45,9 @@ METRIC_COLUMNS = (
     "seconds",
 )
 SECTIONS = {
-    "comparison": ("table6", "sensitivity", "tube"),
-    "estimates": ("parity", "residuals"),
-    "training": ("features", "peaks", "convergence", "search"),
-    "vehicle": ("bode", "degradation"),
+    "comparison": ("table6", "tube"),
+    "estimates": ("parity",),
+    "training": ("peaks",),
 }
 """Figures by the section they are shown in; TensorBoard shows sections in alphabetical order."""
 

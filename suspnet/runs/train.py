@@ -63,14 +63,13 @@ class RunContext:
 
     `config` is the resolved configuration; its `reading_name` and `search_name` go into
     metrics.json. `varied` is what a multirun varies, by configuration key: TensorBoard's first
-    columns. `draw_vehicle`: once is enough in a multirun. `notes` are further entries of the
+    columns. `notes` are further entries of the
     model's `training`, such as the healthy trips as "commissioned"; `residual` is the unexplained
     part of a commissioned vehicle's healthy trips, `bogie` its bogie if each part is to be read.
     """
 
     config: Mapping[str, Any] = field(default_factory=dict)
     varied: Mapping[str, Any] | None = None
-    draw_vehicle: bool = True
     notes: Mapping[str, Any] = field(default_factory=dict)
     residual: Residual | None = None
     bogie: CommissionedBogie | None = None
@@ -159,8 +158,7 @@ def train(
         write_model(folder, replace(model, training=model.training | accuracy))
         log_hyperparameters(run_log, metrics, model.training["parameters"], context.varied)
         if figures:
-            parts = folder / "figures", context.draw_vehicle
-            draw_run(problem, model, outcome, run_log, *parts)
+            draw_run(problem, model, outcome, run_log, folder / "figures")
     write_json(folder / "environment.json", environment())
     write_json(folder / "metrics.json", metrics)  # last: it marks the run as finished
     report(metrics, folder)
