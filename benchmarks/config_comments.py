@@ -13,9 +13,7 @@ import yaml
 from suspnet.cli.commission_fleet import HealthySettings
 from suspnet.cli.config_files import CONFIGS, TABLES
 from suspnet.cli.kinds import KINDS, class_of
-from suspnet.cli.program import THREADS
 from suspnet.cli.serve import ServeSettings
-from suspnet.cli.simulate import WORKERS
 from suspnet.curves.components import CurveFeatures
 from suspnet.curves.extraction import PeakFeatures
 from suspnet.depot.live.replay import Pace, Replay
@@ -113,10 +111,9 @@ def _keys(root: yaml.Node | None) -> Iterator[tuple[Keys, yaml.Node, yaml.Mark]]
 
 OF_PROGRAMS: dict[str, list[Declared]] = {
     "replay": [one for class_ in (Replay, Pace) for one in settings_of(class_).values()],
-    "simulate": [*settings_of(Trains).values(), WORKERS],
+    "simulate": [*settings_of(Trains).values()],
     "serve": [*settings_of(ServeSettings).values()],
-    "train": [*settings_of(HealthySettings).values(), THREADS],
-    "evaluate": [THREADS],
+    "train": [*settings_of(HealthySettings).values()],
 }
 """Settings of programs that are no object's."""
 

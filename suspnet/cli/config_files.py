@@ -18,7 +18,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from suspnet.ground.core_yaml import MOST_BYTES, parse_yaml
-from suspnet.ground.settings import check_number
+from suspnet.ground.settings import check_flag, check_number
 from suspnet.ground.storage import read_plain
 
 
@@ -164,16 +164,10 @@ SWITCHES = frozenset(
     "xlsx".split()
 )
 """Keys that are either on or off, in whichever group they are."""
-WORDS = {"yes": True, "on": True, "true": True, "no": False, "off": False, "false": False}
-"""Values of a switch written as text; Hydra's command line knows true and false only."""
 
 
-def read_values(config: DictConfig) -> None:
-    """Make each switch of a configuration a boolean; check that each number is finite.
-
-    TypeError or ValueError for any other value of a switch, and for a number that is NaN, infinite
-    or beyond `LARGEST` of ``suspnet.ground.settings``.
-    """
+def check_values(config: DictConfig) -> None:
+    """Raise TypeError or ValueError unless switches are booleans, and numbers finite."""
     stack: list[tuple[str, Any]] = [("", config)]
     while stack:  # ends: a configuration as written is a tree
         path, node = stack.pop()
@@ -183,17 +177,8 @@ def read_values(config: DictConfig) -> None:
                 continue
             name, value = f"{path}.{key}".lstrip("."), node[key]
             if key in SWITCHES:
-                node[key] = _switch(name, value)
+                check_flag(name, value)
             elif isinstance(value, DictConfig | ListConfig):
                 stack.append((name, value))
             elif isinstance(value, int | float) and not isinstance(value, bool):
                 check_number(name, value)
-
-
-def _switch(name: str, value: Any) -> bool:
-    if isinstance(value, bool):
-        return value
-    is_on = WORDS.get(value.lower()) if isinstance(value, str) else None
-    if is_on is None:
-        raise ValueError(f"`{name}` must be one of {', '.join(WORDS)}; got {value!r}")
-    return is_on

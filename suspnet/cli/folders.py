@@ -252,14 +252,6 @@ def swept() -> list[str]:
     return list(dict.fromkeys(keys))
 
 
-def varied(config: DictConfig) -> dict[str, Any]:
-    """Return the values in this job of the keys that a multirun varies."""
-    choices = HydraConfig.get().runtime.choices
-    return {
-        key: choices[key] if key in choices else OmegaConf.select(config, key) for key in swept()
-    }
-
-
 def _changed(*known: str) -> str:
     """Return the name of a run: what a multirun varies, or else what the command line sets.
 

@@ -25,8 +25,6 @@ channels and speed, their spectra, and the coherence. Trips are not changed."""
 CHECK_EPILOG = """\
 exit code: 0 if every trip could be read, 1 if there is any problem.
 
-  suspnet check trips/car7                  all manifests of a folder, or of its subfolders
-  suspnet check trip_001.yaml trip_002.yaml --no-pictures
   suspnet check trips/car7 --run outputs/trips/RUN       are these trips read by that model?"""
 INIT_DESCRIPTION = """\
 Write the manifests of all trips of a folder, or of one trip, from data files: their columns, with
@@ -35,7 +33,6 @@ box, bogie frame, body, left, right, speed; in English or German) and marked as 
 missing for a folder is one list, and nothing is written; in the manifest of one trip it is marked
 FILL_IN. With --vehicle, write the file of a vehicle to be filled in."""
 INIT_EPILOG = """\
-  suspnet init trips/car7                       what is missing for the manifests of all trips?
   suspnet init trips/car7 vehicle=am96 suspension="car 7" --table km.csv
   suspnet init --vehicle mine vehicles          the file of a vehicle, to be filled in
   suspnet init trip_7/*.csv -o trip_7.yaml      then fill in what is marked, and
@@ -44,16 +41,12 @@ HISTORY_DESCRIPTION = """\
 The history of a fleet, as written by evaluate.py trips=DIR store=STORE: list it, add maintenance,
 show and acknowledge alarms, export all of it as tables."""
 HISTORY_EPILOG = """\
-  suspnet history fleet.db list
   suspnet history fleet.db event --vehicle am96 --suspension "car 7, left" --at-km 120000 \\
       --kind exchanged --words "new primary dampers"
-  suspnet history fleet.db alarms
   suspnet history fleet.db acknowledge --vehicle am96 --suspension "car 7, left" \\
       --parameter k_p --by "Kim Li" --words "spring ordered"
-  suspnet history fleet.db export tables
   suspnet history fleet.db notify notify.yaml --follow
   suspnet history fleet.db backup /backups/fleet.db
-  suspnet history fleet.db restore /backups/fleet.db
 
 STORE is a file, or postgresql://user:password@host/database."""
 

@@ -32,12 +32,12 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from suspnet.cli import folders, signals
-from suspnet.cli.config_files import CONFIGS, as_written, read_values, register_help, store_tables
+from suspnet.cli.config_files import CONFIGS, as_written, check_values, register_help, store_tables
 from suspnet.cli.loader import CheckedLoader
 from suspnet.cli.typed_words import as_overrides, quoted
 from suspnet.ground import progress
 from suspnet.ground.parameters import DEFAULT_LIMITS, read_limits
-from suspnet.ground.settings import Declared, Setting
+from suspnet.ground.settings import check_number
 from suspnet.ground.storage import printable, why, write_atomically
 from suspnet.ground.workers import LostWorkerError, end_with_parent, fork_from_server, guard_joblib
 
@@ -289,7 +289,7 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
     def wrapped(config: DictConfig) -> Any:
         end_with_parent()
         try:
-            read_values(config)
+            check_values(config)
             _check_limits(config)
             with _progress():
                 return function(config)
@@ -387,20 +387,6 @@ def run_folder() -> Path:
     return Path(HydraConfig.get().runtime.output_dir)
 
 
-THREADS = Declared(
-    "threads",
-    int,
-    True,
-    Setting(
-        "Threads of torch and BLAS, and blocks of curves made at a time; null is as many as torch "
-        "takes",
-        low=1,
-        most=1024,
-    ),
-)
-"""Key `threads` of the programs that train or score models."""
-
-
 def n_threads(wanted: int | None) -> int:
     """Set the threads of torch and BLAS to `wanted`, or leave them if None; return their number."""
     import torch  # takes seconds
@@ -408,7 +394,7 @@ def n_threads(wanted: int | None) -> int:
 
     if wanted is None:
         return torch.get_num_threads()
-    THREADS.check("threads", wanted)
+    check_number("threads", wanted, low=1, most=1024, whole=True)
     threadpool_limits(wanted)
     torch.set_num_threads(wanted)
     return wanted

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -90,22 +90,16 @@ def main(config: DictConfig) -> None:
         train_fleet(config, folder, groups, _run)
     else:
         folders.start_again(folder)
-        _run(config, folder, varied=folders.varied(config))
+        _run(config, folder)
     if groups:
         read = command("evaluate", f"trips={config.healthy}", f"run={folder}")
         log.info("then run: %s", read)
 
 
-def _run(
-    config: DictConfig,
-    folder: Path,
-    paths: Sequence[ManifestFile] | None = None,
-    varied: Mapping[str, Any] | None = None,
-) -> None:
+def _run(config: DictConfig, folder: Path, paths: Sequence[ManifestFile] | None = None) -> None:
     """Train the models of one suspension and fill a folder.
 
-    `paths`: manifests of its healthy trips, None is all of the folder; `varied`: what a multirun
-    varies.
+    `paths`: manifests of its healthy trips, None is all of the folder.
     """
     # refuse wrong settings before minutes of healthy trips and curves
     protocol = build(config, "protocol")
@@ -121,7 +115,7 @@ def _run(
         ends = (f"{of(healthy.speeds_m_per_s):.1f}" for of in (min, max))
         log.info("healthy trips at %s m/s: %s", span(*ends), setting_words(speeds))
     directions = _directions(config, healthy)
-    train_one = partial(_train, healthy=healthy, varied=varied)
+    train_one = partial(_train, healthy=healthy)
     if not isinstance(speeds, ListConfig | list) and len(directions) == 1:
         own = config.copy()
         own.speed_m_per_s = speeds
@@ -265,7 +259,6 @@ def _train(
     config: DictConfig,
     folder: Path,
     healthy: _Healthy | None,
-    varied: Mapping[str, Any] | None,
     given: DictConfig | None = None,
 ) -> Metrics:
     """Train one model and fill a folder; config.yaml holds `given`, or else `config`."""
@@ -291,7 +284,6 @@ def _train(
         figures=config.figures,
         context=RunContext(
             config=resolved,
-            varied=varied,
             notes={"commissioned": healthy.notes} if healthy else {},
             residual=healthy.residual if healthy else None,
             bogie=healthy.bogie if healthy else None,

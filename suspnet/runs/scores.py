@@ -125,12 +125,7 @@ def _rms_ratio(task: Task, outcome: Outcome, bounds: FloatArray) -> dict[str, fl
     return dict(zip(task.outputs, ratios.tolist(), strict=True))
 
 
-def log_hyperparameters(
-    run_log: RunLog,
-    metrics: Metrics,
-    parameters: Mapping[str, Any],
-    varied: Mapping[str, Any] | None = None,
-) -> None:
+def log_hyperparameters(run_log: RunLog, metrics: Metrics, parameters: Mapping[str, Any]) -> None:
     """Write the hyperparameters and final scores of a run for TensorBoard's HPARAMS tab."""
     finals = {
         f"{metric}_{output}": values[metric]
@@ -142,7 +137,7 @@ def log_hyperparameters(
     finals["seconds"] = metrics["seconds"]
     if "search" in metrics:
         finals["cv_rmse"] = min(metrics["search"]["rmse"])
-    run_log.hyperparameters({**parameters, **metrics}, finals, varied)
+    run_log.hyperparameters({**parameters, **metrics}, finals)
 
 
 def report(metrics: Metrics, folder: Path) -> None:

@@ -376,7 +376,7 @@ def test_no_training_is_proposed_that_would_fail(code, n, changes):
 def test_folder_of_vehicles_is_checked_and_runs_nothing(manifests, tmp_path):
     done = typed(check, manifests[0], "--config-dir", tmp_path, cwd=tmp_path)
     assert done.returncode == 1
-    assert "holds no folder `vehicle`" in done.stderr
+    assert "holds no vehicles: each is a file vehicle/NAME.yaml" in done.stderr
     (tmp_path / "vehicle").mkdir()
     (tmp_path / "vehicle/evil.yaml").write_text(
         f"_target_: pathlib.Path.touch\n_args_: [{tmp_path / 'hit'}]\n"

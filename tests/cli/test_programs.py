@@ -14,6 +14,7 @@ from suspnet.cli import evaluate, program, train
 from suspnet.curves.problem import Problem
 from suspnet.estimation.estimate import KINDS
 from suspnet.runs.dataset import read_dataset
+from suspnet.runs.tensorboard import SHOWN_FIRST
 
 pytestmark = pytest.mark.usefixtures("blank")
 """Figures are made by the fixture `run` only; tests/runs/test_plots.py draws them."""
@@ -244,13 +245,13 @@ def test_tensorboard_shows_the_comparison_first(table6):
     assert all("estimates/parity" in found for found in images.values())
 
 
-def test_tensorboard_shows_what_a_multirun_varies_before_other_hyperparameters(table6):
+def test_tensorboard_shows_the_method_before_other_hyperparameters(table6):
     folder, _ = table6
     for run in folder.glob("[0-9]_*"):
         summaries = EventAccumulator(str(run)).Reload().summary_metadata
         content = summaries["_hparams_/experiment"].plugin_data.content
         columns = HParamsPluginData.FromString(content).experiment.hparam_infos
-        assert {column.name for column in columns if column.differs} == {"model", "group"}
+        assert {column.name for column in columns if column.differs} == {*SHOWN_FIRST}
         content = summaries["_hparams_/session_start_info"].plugin_data.content
         values = HParamsPluginData.FromString(content).session_start_info.hparams
         group, model = run.name.split("_")[-2:]
