@@ -1,4 +1,4 @@
-"""Options of the programs without a configuration: suspnet check, suspnet init, suspnet history.
+"""Options of the programs without a configuration: suspnet check, demo, init and history.
 
 They are parsed before the programs' modules are imported.
 """
@@ -26,6 +26,10 @@ CHECK_EPILOG = """\
 exit code: 0 if every trip could be read, 1 if there is any problem.
 
   suspnet check trips/car7 --run outputs/trips/RUN       are these trips read by that model?"""
+DEMO_DESCRIPTION = """\
+Simulate a train of which one damper fades, learn it on its first trips and read all of them. Print
+the verdict, and open the report in a browser if there is one. Trips, model and report are in the
+folder demo; files there that suspnet did not write are left as they are."""
 INIT_DESCRIPTION = """\
 Write the manifests of all trips of a folder, or of one trip, from data files: their columns, with
 the rates and units that the files state. Which column is which channel is guessed from names (axle
@@ -79,6 +83,11 @@ def check_parser() -> ArgumentParser:
     plugin = "Python file of yours that is run first and registers the methods of --run [path]"
     add("--plugin", action="append", metavar="FILE", help=plugin)
     return parser
+
+
+def demo_parser() -> ArgumentParser:
+    """Return the options of suspnet demo, which has none."""
+    return _parser("suspnet demo", DEMO_DESCRIPTION, "")
 
 
 def init_parser() -> ArgumentParser:
@@ -191,6 +200,7 @@ def _add_suspension(command: ArgumentParser) -> None:
 
 PARSERS: Mapping[str, Callable[[], ArgumentParser]] = {
     "check": check_parser,
+    "demo": demo_parser,
     "init": init_parser,
     "history": history_parser,
 }

@@ -36,12 +36,13 @@ from suspnet.cli.config_files import CONFIGS, as_written, check_values, register
 from suspnet.cli.loader import CheckedLoader
 from suspnet.cli.typed_words import as_overrides, quoted
 from suspnet.ground import progress
+from suspnet.ground.extras import missing_words, named_extras
 from suspnet.ground.parameters import DEFAULT_LIMITS, read_limits
 from suspnet.ground.settings import check_number
 from suspnet.ground.storage import printable, why, write_atomically
 from suspnet.ground.workers import LostWorkerError, end_with_parent, fork_from_server, guard_joblib
 
-WITH_OPTIONS = ("check", "history", "init")
+WITH_OPTIONS = ("check", "demo", "history", "init")
 """Programs that read no configuration."""
 POOLS = {
     "evaluate": ("suspnet.trains.jobs.fleet", "monitor.workers", "trips"),
@@ -97,12 +98,7 @@ def main(name: str) -> None:
     plugins: list[str] = []
     run(lambda: plugins.extend(_load_plugins(sys.argv)))
     if name in WITH_OPTIONS:
-        options = import_module("suspnet.cli.options")
-        parser = options.PARSERS[name]()
-        # files and KEY=VALUE may come between options, which argparse allows without subcommands
-        is_mixed = name != "history"
-        arguments = parser.parse_intermixed_args() if is_mixed else parser.parse_args()
-        run(lambda: sys.exit(getattr(_imported(name), name)(arguments)))
+        run(lambda: _run_with_options(name))
         return
     sys.argv[1:] = as_overrides(sys.argv[1:])
     program = hydra.main(version_base="1.3", config_path=CONFIGS, config_name=name)(
@@ -110,6 +106,14 @@ def main(name: str) -> None:
     )
     with signals.until_it_listens() if name == "serve" else nullcontext():
         run(program, unwinds=name != "serve")
+
+
+def _run_with_options(name: str) -> None:
+    parser = import_module("suspnet.cli.options").PARSERS[name]()
+    # files and KEY=VALUE may come between options, which argparse allows without subcommands
+    is_mixed = name != "history"
+    arguments = parser.parse_intermixed_args() if is_mixed else parser.parse_args()
+    sys.exit(getattr(_imported(name), name)(arguments))
 
 
 def _without_password(argument: str) -> str:
@@ -142,7 +146,12 @@ def _task_of(name: str, plugins: Sequence[str] = ()) -> Callable[[DictConfig], N
             import_module("suspnet.cli.plugins").load_plugins(plugins)
         else:
             _serve_workers(name, config)
-        _imported(name).main(config)
+        try:  # Hydra would print a line of its own about an error that leaves this function
+            with named_extras("live" if name == "serve" else None):
+                main = _imported(name).main
+        except ValueError as error:
+            raise SystemExit(one_line(error)) from None
+        main(config)
 
     program.__module__ = f"suspnet.cli.{name}"  # Hydra names the log by it
     return program
@@ -185,6 +194,7 @@ def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
             _one_writer(),
             _whole_errors(),
             _checked_loader(),
+            named_extras(),
         ):
             main()
     except SystemExit as ended:  # its message may hold names of files
@@ -291,7 +301,7 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
         try:
             check_values(config)
             _check_limits(config)
-            with _progress():
+            with _progress(), named_extras():
                 return function(config)
         except BrokenPipeError:
             raise SystemExit(_output_ended()) from None
@@ -352,6 +362,8 @@ def one_line(error: BaseException) -> str:
     ):
         error = error.__cause__
     message = text = str(error)
+    if not isinstance(error, ValueError):
+        message = missing_words(error) or message
     if isinstance(error, RecursionError):
         message = "the configuration is nested too deeply, or refers to itself"
     if isinstance(error, MemoryError):

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from suspnet.depot.web.access import Access
 
 log = logging.getLogger(__name__)
-NEEDED = ("flask", "flask_wtf", "waitress", "plotly", "pydantic")
-"""Packages of the extra `live` that the pages need."""
 END_S = 2.0
 """Longest wait for each part of the program at the end, [s]."""
 TOKEN_VARIABLE = "SUSPNET_API_TOKEN"
@@ -63,7 +61,7 @@ class ServeSettings:
 @program.task
 def main(config: DictConfig) -> None:
     """Check the settings and serve the pages until Ctrl-C."""
-    check_extra("live", *NEEDED)
+    check_extra("live")
     if OmegaConf.is_missing(config, "store") or not config.store:
         raise ValueError("which history? Give store=FILE, or store=postgresql://...")
     ServeSettings(config.port, config.refresh_s, config.threads)

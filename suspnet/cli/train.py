@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, ListConfig
 from sklearn.exceptions import ConvergenceWarning
@@ -29,6 +29,7 @@ from suspnet.curves.speeds import SpeedRange, covering, setting_words
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.flags import Residual
 from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.extras import optional
 from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
 from suspnet.ground.settings import check_choice, check_values
 from suspnet.ground.wording import command, span
@@ -38,11 +39,18 @@ from suspnet.runs.fit import check_hyperparameters
 from suspnet.runs.language import check_language, speaking
 from suspnet.runs.scores import Metrics
 from suspnet.runs.train import RunContext, speed_ranges, train, train_ranges
-from suspnet.trains.identification.healthy_trips import read_healthy
-from suspnet.trains.jobs.commissioning import check_generator, commission_parts, commission_trips
-from suspnet.trains.pages.commissioning_page import training_notes, write_outcome
-from suspnet.trains.recordings.manifest_files import ManifestFile
 from suspnet.vehicle import ResponseGenerator, VerticalVehicle
+
+with optional("trips"):  # `suspensions` says what is missing
+    from suspnet.trains.identification.healthy_trips import read_healthy
+    from suspnet.trains.jobs.commissioning import (
+        check_generator,
+        commission_parts,
+        commission_trips,
+    )
+    from suspnet.trains.pages.commissioning_page import training_notes, write_outcome
+if TYPE_CHECKING:
+    from suspnet.trains.recordings.manifest_files import ManifestFile
 
 log = logging.getLogger(__name__)
 NO_SPEED = (

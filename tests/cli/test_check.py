@@ -200,12 +200,7 @@ def test_problems_of_all_trips_and_arguments_are_told_at_once(manifests, tmp_pat
     changed(good, trips, "a_good")
     changed(good, trips, "b_file", channels={"body": {"file": "gone.parquet", "unit": "mg"}})
     changed(good, trips, "c_column", channels={"body": {"column": "z"}, "bogie": {"column": "y"}})
-    content = yaml.safe_load((trips / "a_good.yaml").read_text())
-    channels = content["channels"]
-    channels["bogie"], channels["body"] = channels["body"], channels["bogie"]
-    (trips / "d_swapped.yaml").write_text(yaml.safe_dump(content))
     changed(good, trips, "e_unit", channels={"body": {"unit": "g"}})
-    changed(good, trips, "f_sign", channels={"axle_box": {"sign": -1}})
     changed(good, trips, "g_both", vehicel="am96", channels={"bogie": {"column": "y"}})
     dead = np.zeros_like(signal(good, "body"))
     changed(good, trips, "h_dead", {"body": dead})
@@ -225,9 +220,7 @@ def test_problems_of_all_trips_and_arguments_are_told_at_once(manifests, tmp_pat
     expected = {
         "b_file": ["channels.body.unit", "channels.body.file"],
         "c_column": ["no column 'y'", "no column 'z'"],
-        "d_swapped": ["look swapped"],
         "e_unit": ["m/s2 and g are mixed up"],
-        "f_sign": ["axle_box and bogie move against each other"],
         "g_both": ["`vehicel` is not known", "no column 'y'"],
         "h_dead": ["channel 'body' is constant (0)"],
         "i_binary": ["i_binary.csv"],
@@ -245,8 +238,7 @@ def test_problems_of_all_trips_and_arguments_are_told_at_once(manifests, tmp_pat
     assert "empty holds no *.yaml file" in done.stdout
     assert "there is no file or folder" in done.stdout
     assert "is no manifest (*.yaml); to write one: suspnet init" in done.stdout
-    assert "e_unit, f_sign" in done.stdout  # they share data with the good trip
-    assert told["d_swapped.yaml"]["picture"]
+    assert told["e_unit.yaml"]["picture"]
 
 
 def test_file_that_kills_its_reader_is_one_problem(manifests, tmp_path, monkeypatch):
@@ -471,14 +463,15 @@ def write_broken(folder, manifest, n):
         (folder / f"t{number:05d}.yaml").write_text(text)
 
 
-def test_broken_manifests_are_told(manifests, tmp_path):
-    write_broken(tmp_path, manifests[0], 40)
+@pytest.mark.parametrize("n", [10, pytest.param(40, marks=pytest.mark.slow)])
+def test_broken_manifests_are_told(manifests, tmp_path, n):
+    write_broken(tmp_path, manifests[0], n)
     done = typed(check, tmp_path, "--no-pictures", "-o", tmp_path / "o", cwd=tmp_path)
     assert done.returncode == 1
     assert errors(done) == ""
-    assert done.stderr.startswith("trips: 0 of 40 [")
+    assert done.stderr.startswith(f"trips: 0 of {n} [")
     trips = found_in(tmp_path / "o")["trips"]
-    assert len(trips) == 40
+    assert len(trips) == n
     for trip in trips:
         assert (trip["state"] == PROBLEM) == bool(trip["problems"])
         assert not any("Error: " in problem for problem in trip["problems"]), trip
