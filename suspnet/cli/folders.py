@@ -18,6 +18,7 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
+from suspnet.cli.config_files import as_written
 from suspnet.cli.typed_words import quoted
 from suspnet.ground import ledger
 from suspnet.ground.core_yaml import read_yaml
@@ -241,7 +242,7 @@ def swept() -> list[str]:
     config = HydraConfig.get()
     if config.mode != RunMode.MULTIRUN:
         return []
-    folder = OmegaConf.to_container(config.sweep)["dir"]  # a multirun sets it before its first job
+    folder = as_written(config.sweep)["dir"]  # a multirun sets it before its first job
     file = Path(folder) / ledger.MULTIRUN
     if "${" in folder or not file.is_file():
         return []
