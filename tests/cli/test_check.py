@@ -26,10 +26,8 @@ from suspnet.cli import check, options
 from suspnet.cli.config_files import CONFIGS
 from suspnet.cli.kinds import read_vehicles
 from suspnet.curves.welch import Welch
-from suspnet.ground.findings import Finding, of, together
 from suspnet.ground.ledger import LEDGER
 from suspnet.ground.records import Place
-from suspnet.runs.language import speaking
 from suspnet.trains.jobs.check import CheckSettings, check_trip
 from suspnet.trains.pages.check_page import (
     NEED_A_VEHICLE,
@@ -39,8 +37,6 @@ from suspnet.trains.pages.check_page import (
     TOO_LITTLE,
     SteadyPart,
     TripCheck,
-    summary,
-    write_checks,
 )
 from suspnet.trains.recordings.formats import READERS
 from suspnet.trains.recordings.manifest_files import find_trips, read_manifest
@@ -334,10 +330,6 @@ def test_training_is_the_next_command_and_can_be_copied():
     assert read == "then run: suspnet evaluate trips=. 'run=[outputs/one,outputs/two]'"
 
 
-def test_there_is_no_next_step_without_a_ready_trip():
-    assert steps(state=PROBLEM, vehicle="") == []
-
-
 def test_next_training_reads_later_trips_at_other_speeds_and_names_parts_despite_a_short_one():
     arguments = options.check_parser().parse_args(["."])
     trips = [replace(READY_TRIP, mileage_km=float(i), shows_parts=i != 6) for i in range(7)]
@@ -475,47 +467,6 @@ def test_broken_manifests_are_told(manifests, tmp_path, n):
     for trip in trips:
         assert (trip["state"] == PROBLEM) == bool(trip["problems"])
         assert not any("Error: " in problem for problem in trip["problems"]), trip
-
-
-def test_how_files_are_read_is_said_once_for_all(tmp_path):
-    known = {"delimiter": "';'", "decimal": "','", "first_line": 2, "bom": ""}
-    known["header"] = Finding("names-in-line", header_line=1)
-    how = Finding("csv-dialect", encoding="latin-1", **known)
-    checks = [
-        TripCheck(
-            Path(f"trip_{i}.yaml"),
-            remarks=(together(of(f"{name}_{i}.csv", how) for name in ("a", "gps")), "loose"),
-        )
-        for i in range(3)
-    ]
-    of_b = of("b.csv", Finding("csv-dialect", encoding="utf-8", **known))
-    other = together((of_b, "'a' is taken in g, its file says 'V'"))
-    checks.append(TripCheck(Path("odd.yaml"), remarks=(other,)))
-    lines = summary(checks, []).partition("Remarks:\n")[2].splitlines()
-    assert lines == [
-        f"  trip_0, trip_1, trip_2: {how} (6 files)",
-        "  trip_0, trip_1, trip_2: loose",
-        f"  odd: {how.replace('latin-1', 'utf-8')} (1 file)",
-        "  odd: 'a' is taken in g, its file says 'V'",
-    ]
-    page = write_checks(checks, [], tmp_path).read_text(encoding="utf-8").replace("&#39;", "'")
-    assert page.count("names in line 1") == 2
-    assert f"Files read as: {how} (6 files) · " in page
-    assert page.count(">loose</div>") == 3
-
-
-def test_suspensions_without_a_train_are_said_to_be_of_several(tmp_path):
-    places = [Place("front", "leading"), Place("rear", "trailing")]
-    checks = [TripCheck(Path(f"{one.bogie}.yaml"), vehicle="am96", place=one) for one in places]
-    words = "am96: each of its 2 suspensions counts as a train of its own"
-    assert words in summary(checks)
-    with speaking("de"):
-        page = write_checks(checks, [], tmp_path).read_text()
-    assert "am96: jede seiner 2 Federungen zählt als eigener Zug" in page
-    named = [replace(one, place=replace(one.place, train="12")) for one in checks]
-    one_name = [replace(one, place=replace(one.place, suspension="S1")) for one in checks]
-    for found in (named, one_name):
-        assert "train of its own" not in summary(found)
 
 
 @pytest.mark.slow
