@@ -42,7 +42,7 @@ def demo(_: Namespace) -> int:
     check_extra("trips")
     with progress.on_stderr(), progress.bar("demo", len(STEPS), unit="step") as bar:
         for title, words in STEPS.items():
-            bar.set_description(title)
+            bar.set_description_str(title)
             done = subprocess.run(
                 [sys.executable, "-m", "suspnet", *words],
                 capture_output=True,
