@@ -14,23 +14,23 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import config_comments
+import fair
 import interval_coverage
 import methods_table
 import named_parts
 import numpy as np
 import one_way
+import readings
 from against_n import METHODS, TUBE
 from cells import Parser, Row
 from layouts import layouts_markdown
 from paper_exhibits import impact_rows
 from tabulate import tabulate
+from tube import tube_markdown
 
-from suspnet.cli.config_files import read_comments
 from suspnet.cli.kinds import read_vehicles
 from suspnet.ground.storage import write_atomically
-from suspnet.runs import fair, readings
 from suspnet.runs.tables import MODEL_TITLES, table6_caption, table6_markdown
-from suspnet.runs.tube import tube_markdown
 from suspnet.vehicle import PARAMETERS, QuarterCar
 from suspnet.vehicle.quantities import PARTS, QUANTITIES
 
@@ -476,7 +476,7 @@ def main() -> None:
     Parser(description=__doc__.splitlines()[0]).parse_args()
     for path in sorted((ROOT / "configs").rglob("*.yaml")):
         write(path, config_comments.commented(path))
-    read_comments.cache_clear()
+    config_comments.read_comments.cache_clear()
     for path in PAGES:
         new, missing = filled(path.read_text(encoding="utf-8"))
         write(path, new, f"; no results for {', '.join(missing)}" if missing else "")

@@ -13,7 +13,6 @@ import pytest
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("plot_*.py"))
-FAST = ("plot_paper",)
 WIDEST_INCHES = 5.0
 """A page on a phone, 390 px wide, shows text of 10 points in a wider figure too small."""
 
@@ -42,9 +41,11 @@ def run(tmp_path, monkeypatch, capsys):
     plt.close("all")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "script",
-    [pytest.param(s, marks=[] if s.stem in FAST else pytest.mark.slow, id=s.stem) for s in SCRIPTS],
+    SCRIPTS,
+    ids=lambda script: script.stem,
 )
 def test_example_runs_without_a_warning_and_draws_what_a_phone_can_show(script, run):
     printed, figures = run(script)

@@ -13,6 +13,7 @@ from suspnet._version import __version__
 from suspnet.cli.start import PROGRAMS, start
 
 MEANINGS = {
+    "demo": "see it work: simulate a train, learn it, read it",
     "init": "write manifests of a folder of data files, or the file of a vehicle",
     "check": "show what is wrong with recordings, before a model or with one",
     "train": "commission a suspension on healthy trips; train and score a method",
@@ -35,6 +36,7 @@ Stiffness and damping of train suspensions from three vertical accelerometers.
   suspnet PROGRAM --plugin FILE ...    first run a Python file of yours, which registers methods
   suspnet --version
 
+  suspnet demo
   suspnet init trips/car7 vehicle=am96 suspension="car 7"
   suspnet check trips/car7
   suspnet train experiment=trips healthy=trips/car7 n_healthy=5
@@ -51,8 +53,6 @@ def main() -> None:
         _print(HELP)
     elif first in ("-V", "--version"):
         _print(f"suspnet {__version__}")
-    elif first == "completion":
-        sys.exit("error: there is no completion any more: take its line out of ~/.bashrc")
     else:
         near = get_close_matches(first, PROGRAMS, n=1)
         meant = f"did you mean {near[0]}? " if near else ""

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 from logging.handlers import BufferingHandler
 from pathlib import Path
 from shlex import quote
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf
 from tabulate import tabulate
@@ -21,18 +21,22 @@ from suspnet.cli.config_files import as_written
 from suspnet.cli.typed_words import of_each_name
 from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground import ledger
+from suspnet.ground.extras import check_extra, optional
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.settings import check_values, setting
 from suspnet.ground.storage import read_json, write_atomically, write_json
 from suspnet.ground.workers import LostWorkerError, each
 from suspnet.runs.sweeps import run_errors
-from suspnet.trains.recordings.manifest_files import ManifestFile
-from suspnet.trains.trips.grouping import Group, find_groups
+
+with optional("trips"):
+    from suspnet.trains.trips.grouping import Group, find_groups
+if TYPE_CHECKING:
+    from suspnet.trains.recordings.manifest_files import ManifestFile
 
 log = logging.getLogger(__name__)
 LOG = "train.log"
 """Name of the log in each run's folder."""
-TrainOne = Callable[[DictConfig, Path, Sequence[ManifestFile]], None]
+TrainOne = Callable[[DictConfig, Path, "Sequence[ManifestFile]"], None]
 """Commissions a configuration's vehicle on some manifests, trains its model and fills a folder."""
 
 
@@ -48,8 +52,7 @@ class HealthySettings:
     )
     workers: int = setting(
         2,
-        "Number of suspensions that are commissioned at the same time, where healthy holds "
-        "several, and of processes of experiment=tube",
+        "Number of suspensions that are commissioned at the same time, where healthy holds several",
         low=1,
         most=1024,
     )
@@ -69,7 +72,10 @@ def suspensions(config: DictConfig) -> list[Group]:
 
     FileNotFoundError if the folder is missing or holds no manifest.
     """
-    return [] if config.healthy is None else find_groups(Path(config.healthy))
+    if config.healthy is None:
+        return []
+    check_extra("trips")
+    return find_groups(Path(config.healthy))
 
 
 def are_several(config: DictConfig, groups: Sequence[Group]) -> bool:

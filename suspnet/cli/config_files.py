@@ -1,25 +1,24 @@
-"""Configuration files: their folder, what they may hold, and their comments.
+"""Configuration files: their folder, what they may hold, and the `--help` that is made of them.
 
 The comment lines right above a key, at its indentation, are one sentence on the key that ends with
 its unit and range in brackets: ``# Length of a trip [min; above 0]``. The first comment of a file
-describes the file; a comment behind a value describes the value.
+describes the file.
 """
 
 from __future__ import annotations
 
-import functools
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import yaml
 from hydra.core.config_store import ConfigStore
+from hydra.core.global_hydra import GlobalHydra
+from hydra.types import RunMode
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from suspnet.ground.core_yaml import LOADER, MOST_BYTES, parse_yaml
-from suspnet.ground.settings import check_number
+from suspnet.ground.core_yaml import MOST_BYTES, parse_yaml
+from suspnet.ground.settings import check_flag, check_number
 from suspnet.ground.storage import read_plain
 
 
@@ -92,59 +91,8 @@ def read_settings(file: Path) -> tuple[str, dict[Any, Any]]:
     return text, content
 
 
-Keys = tuple[str, ...]
-"""A key, after those that lead to it."""
-MERGE = "tag:yaml.org,2002:merge"
-NO_WORDS = re.compile(r"@package |python |suspnet-\w+ ")
+NO_WORDS = re.compile(r"@package |python |suspnet[- ]\w+ ")
 """Start of lines in a file's first comment that are commands, or directives for Hydra."""
-BEHIND = re.compile(r"\s#\s*(.*)$")
-
-
-@dataclass(frozen=True)
-class Comments:
-    """Comments of a file, by the keys that lead to each key.
-
-    `above` holds the sentence on a key, `behind` the comment behind its value, `kinds` the `kind`
-    directly below it, `names` the outermost keys and `lines` the line and the column of each key,
-    from 0. Items of a list have the keys of the list. What an alias or a merged mapping repeats is
-    left out. `is_global`: the keys are those of a whole configuration, not of the file's group.
-    """
-
-    above: dict[Keys, str]
-    behind: dict[Keys, str]
-    kinds: dict[Keys, str]
-    names: list[str]
-    lines: dict[Keys, tuple[int, int]]
-    is_global: bool
-
-
-@functools.cache
-def read_comments(file: Path) -> Comments:
-    r"""Return the comments of a file.
-
-    Examples
-    --------
-    >>> from tempfile import TemporaryDirectory
-    >>> with TemporaryDirectory() as folder:
-    ...     file = Path(folder) / "trip.yaml"
-    ...     _ = file.write_text("# A trip\n\n# Its length\n# [min]\nminutes: 20 # usable\n")
-    ...     phrase(file), read_comments(file).above, read_comments(file).behind
-    ('A trip', {('minutes',): 'Its length [min]'}, {('minutes',): 'usable'})
-    """
-    text = file.read_text(encoding="utf-8", errors="replace")
-    lines = text.splitlines()
-    comments = Comments({}, {}, {}, [], {}, text.startswith("# @package _global_\n"))
-    for keys, value, mark in _keys(yaml.compose(text, Loader=LOADER)):
-        comments.lines[keys] = (mark.line, mark.column)
-        if above := _above(lines, mark.line, mark.column):
-            comments.above[keys] = above
-        if behind := BEHIND.search(lines[mark.line]):
-            comments.behind[keys] = behind[1]
-        if keys[-1] == "kind":
-            comments.kinds[keys[:-1]] = str(value.value)
-        if len(keys) == 1:
-            comments.names.append(keys[0])
-    return comments
 
 
 def phrase(file: Path) -> str:
@@ -158,53 +106,67 @@ def phrase(file: Path) -> str:
     return ""
 
 
-def _above(lines: Sequence[str], number: int, column: int) -> str:
-    """Return the comment right above a key on one line; "" if that is the file's first comment."""
-    first = number
-    while first > 0 and lines[first - 1].startswith(" " * column + "#"):  # ends at the first line
-        first -= 1
-    return "" if first == 0 else " ".join(text.strip(" #") for text in lines[first:number])
+def register_help() -> None:
+    """Register ${described:}, which gives the help of a configuration, with OmegaConf."""
+    OmegaConf.register_new_resolver("described", _described, replace=True)
 
 
-def _keys(root: yaml.Node | None) -> Iterator[tuple[Keys, yaml.Node, yaml.Mark]]:
-    """Yield each key of a document, after those that lead to it, with its value and position.
+def _described(_root_: DictConfig) -> str:
+    """Return groups with their options, then the files that are composed, as a Hydra template."""
+    hydra = _root_.hydra
+    sources = hydra.runtime.config_sources
+    folders = [Path(source.path) for source in sources if source.schema == "file"]
+    lines = ["Groups, chosen as GROUP=OPTION; * is chosen here:", ""]
+    for group, chosen in reversed(hydra.runtime.choices.items()):
+        if not group.startswith("hydra/"):
+            options = _options(group, folders).items()
+            shown = [f"  {'*' if key == chosen else ' '} {key:20} {text}" for key, text in options]
+            lines += [f"{group}:", *shown, ""]
+    lines.append("Keys, set as KEY=VALUE, in the files chosen here; --cfg job shows their values:")
+    loader, task = GlobalHydra.instance().config_loader(), list(hydra.overrides.task)
+    composed = loader.compute_defaults_list(hydra.job.config_name, task, RunMode.RUN)
+    for part in composed.defaults:
+        group, _, name = str(part.config_path).rpartition("/")
+        files = [folder / f"{part.config_path}.yaml" for folder in folders]
+        texts = [file.read_text("utf-8", "replace") for file in files if file.is_file()]
+        for text in [*texts, *(text for key, text in _table(group) if key == name)][:1]:
+            keys = f", keys of {part.package}" if part.package else ""
+            own = "".join(block for block in _blocks(text) if not block.startswith("hydra:"))
+            lines += ["", f"{'-' * 20} {part.config_path}{keys}", own.rstrip("\n")]
+    return "\n".join(lines).replace("$", "$$") + "\n"
 
-    They come in the order of the document, so an anchor comes before its aliases.
-    """
-    stack: list[tuple[Keys, Any]] = [((), root)]
-    seen: set[int] = set()
-    while stack:  # each node is taken off once
-        keys, node = stack.pop()
-        if id(node) in seen:
-            continue
-        seen.add(id(node))
-        below: list[tuple[Keys, Any]] = []
-        if isinstance(node, yaml.SequenceNode):
-            below = [(keys, item) for item in node.value]
-        elif isinstance(node, yaml.MappingNode):
-            for key, value in node.value:
-                if key.tag != MERGE and isinstance(key, yaml.ScalarNode):
-                    name = (*keys, str(key.value))
-                    yield name, value, key.start_mark
-                    below.append((name, value))
-        stack += reversed(below)
+
+def _options(group: str, folders: Iterable[Path]) -> dict[str, str]:
+    """Return a phrase on each option of a group."""
+    files = sorted(file for folder in folders for file in (folder / group).glob("*.yaml"))
+    phrases = {file.stem: phrase(file) for file in files}
+    return phrases | {
+        name: text.partition("\n")[0].partition("# ")[2] for name, text in _table(group)
+    }
+
+
+def _table(group: str) -> list[tuple[str, str]]:
+    """Return name and text of each option of a group of ``TABLES``; none for other groups."""
+    if group not in TABLES:
+        return []
+    text = (Path(CONFIGS) / TABLES[group][0]).read_text("utf-8")
+    return [(block.partition(":")[0], block) for block in _blocks(text)[1:]]
+
+
+def _blocks(text: str) -> list[str]:
+    """Return what stands before the first outermost key of a file, then each key with its value."""
+    return re.split(r"^(?=\w)", text, flags=re.MULTILINE)
 
 
 SWITCHES = frozenset(
     "check_channels estimate_mass figures fit_intercept log_ratios mass_known once open_browser "
-    "open_to_network progress refine sines standardised tls".split()
+    "open_to_network progress refine standardised tls".split()
 )
 """Keys that are either on or off, in whichever group they are."""
-WORDS = {"yes": True, "on": True, "true": True, "no": False, "off": False, "false": False}
-"""Values of a switch written as text; Hydra's command line knows true and false only."""
 
 
-def read_values(config: DictConfig) -> None:
-    """Make each switch of a configuration a boolean; check that each number is finite.
-
-    TypeError or ValueError for any other value of a switch, and for a number that is NaN, infinite
-    or beyond `LARGEST` of ``suspnet.ground.settings``.
-    """
+def check_values(config: DictConfig) -> None:
+    """Raise TypeError or ValueError unless switches are booleans, and numbers finite."""
     stack: list[tuple[str, Any]] = [("", config)]
     while stack:  # ends: a configuration as written is a tree
         path, node = stack.pop()
@@ -214,17 +176,8 @@ def read_values(config: DictConfig) -> None:
                 continue
             name, value = f"{path}.{key}".lstrip("."), node[key]
             if key in SWITCHES:
-                node[key] = _switch(name, value)
+                check_flag(name, value)
             elif isinstance(value, DictConfig | ListConfig):
                 stack.append((name, value))
             elif isinstance(value, int | float) and not isinstance(value, bool):
                 check_number(name, value)
-
-
-def _switch(name: str, value: Any) -> bool:
-    if isinstance(value, bool):
-        return value
-    is_on = WORDS.get(value.lower()) if isinstance(value, str) else None
-    if is_on is None:
-        raise ValueError(f"`{name}` must be one of {', '.join(WORDS)}; got {value!r}")
-    return is_on

@@ -22,18 +22,21 @@ from suspnet.cli.folders import (
     worst,
 )
 from suspnet.cli.kinds import board_settings, build, named_runs
-from suspnet.depot.live.notifier import Notifier, read_rules
 from suspnet.estimation.checkpoint import load_model
+from suspnet.ground.extras import check_extra, optional
 from suspnet.ground.parameters import Severity
 from suspnet.ground.settings import check_choice
 from suspnet.ground.storage import write_atomically
 from suspnet.runs.evaluate import FreshCurves, evaluate
 from suspnet.runs.language import speaking
 from suspnet.runs.sweeps import write_table6
-from suspnet.trains.history import History
-from suspnet.trains.jobs.fleet import evaluate_fleet
-from suspnet.trains.jobs.maintenance import existing_history, write_maintenance
-from suspnet.trains.pages.overview import Evaluated
+
+with optional("trips"):
+    from suspnet.depot.live.notifier import Notifier, read_rules
+    from suspnet.trains.history import History
+    from suspnet.trains.jobs.fleet import evaluate_fleet
+    from suspnet.trains.jobs.maintenance import existing_history, write_maintenance
+    from suspnet.trains.pages.overview import Evaluated
 
 log = logging.getLogger(__name__)
 STUDIES = ("maintenance",)
@@ -66,6 +69,9 @@ def ends_with_its_code(function: Callable[[DictConfig], int]) -> Callable[[DictC
 @program.task
 def main(config: DictConfig) -> int:
     """Run a study, read trips or score the models of a run; return the exit code."""
+    of_trips = config.trips, config.store, config.notify
+    if config.study == "maintenance" or any(value is not None for value in of_trips):
+        check_extra("trips")
     rules = None if config.notify is None else read_rules(Path(config.notify))
     if rules is not None and not config.store:
         raise ValueError("`notify` needs store=FILE: what is new is found in the history")

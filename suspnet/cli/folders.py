@@ -17,6 +17,7 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
+from suspnet.cli.config_files import as_written
 from suspnet.cli.typed_words import quoted
 from suspnet.ground import ledger
 from suspnet.ground.core_yaml import read_yaml
@@ -40,8 +41,6 @@ notice."""
 EXIT_CODE = "exit_code"
 """File with the exit code in the folder of each job of a multirun."""
 to_resume: list[str] = []
-made_folders: list[Path] = []
-"""The folder that this run has made under a name of its own; none of a multirun."""
 
 
 class OwnFolder(Callback):
@@ -54,12 +53,7 @@ class OwnFolder(Callback):
 
     def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Choose the folder before Hydra makes it."""
-        before = HydraConfig.instance().cfg
-        HydraConfig.instance().set_config(config)  # interpolations in the folder's name read it
-        try:
-            _choose(config, "run")
-        finally:
-            HydraConfig.instance().cfg = before
+        _choose(config, "run")
         if OmegaConf.select(config, "trips") is not None:
             to_resume[:] = [config.hydra.run.dir]
 
@@ -113,8 +107,9 @@ def how_to_resume() -> str:
 def _choose(config: DictConfig, kind: str) -> None:
     """Choose the folder of a run or "sweep", pass it to the sweep's jobs, and start its ledger."""
     to_resume.clear()
-    made_folders.clear()
     named = OmegaConf.select(config, "resume")
+    before = HydraConfig.instance().cfg
+    HydraConfig.instance().set_config(config)  # interpolations in the folder's name read it
     try:
         if named is not None:
             folder = Path(str(named))
@@ -126,10 +121,11 @@ def _choose(config: DictConfig, kind: str) -> None:
             folder = Path(config.hydra[kind].dir)
         else:
             folder = new_folder(_below_outputs(Path(config.hydra[kind].dir)))
-            made_folders[:] = [folder.absolute()] * (kind == "run")
         goes_on = ledger.begin(folder)
     except OSError as error:
         raise SystemExit(f"error: {error.filename}: {error.strerror}") from error
+    finally:
+        HydraConfig.instance().cfg = before
     changed: dict[str, str | None] = {f"hydra.{kind}.dir": str(folder)}
     if goes_on:  # Hydra would write its own files again, and add to the log
         name = f"{config.hydra.job.name}_{datetime.now():%Y-%m-%d_%H-%M-%S}"
@@ -139,19 +135,6 @@ def _choose(config: DictConfig, kind: str) -> None:
             OmegaConf.update(config, key, value)
             if kind == "sweep":
                 config.hydra.overrides.hydra.append(f"{key}={quoted(value) if value else 'null'}")
-
-
-def remove_unused(folder: Path) -> None:
-    """Remove the folder that this run has made if it holds no more than Hydra's files and a log."""
-    if folder not in made_folders:
-        return
-    every = sorted(folder.rglob("*"), reverse=True)  # what is in a folder before the folder
-    unused = (folder / ledger.LEDGER, folder / ledger.HYDRA, *folder.glob("*.log"))
-    if all(path in unused or path.parent == folder / ledger.HYDRA for path in every):
-        for path in every:
-            is_folder = path.is_dir() and not path.is_symlink()
-            path.rmdir() if is_folder else path.unlink()
-        folder.rmdir()
 
 
 def _below_outputs(folder: Path) -> Path:
@@ -240,9 +223,8 @@ MAX_BYTES = 100
 
 
 def register() -> None:
-    """Register ${changed:...}, ${swept_by:} and ${unless_healthy:...} with OmegaConf."""
+    """Register ${changed:...} and ${unless_healthy:...} with OmegaConf."""
     OmegaConf.register_new_resolver("changed", _changed, replace=True)
-    OmegaConf.register_new_resolver("swept_by", _swept_by, replace=True)
     OmegaConf.register_new_resolver("unless_healthy", _unless_healthy, replace=True)
 
 
@@ -254,8 +236,9 @@ def swept() -> list[str]:
     config = HydraConfig.get()
     if config.mode != RunMode.MULTIRUN:
         return []
-    file = Path(config.sweep.dir) / "multirun.yaml"
-    if not file.is_file():  # composed for one job of a multirun, not by a multirun
+    folder = as_written(config.sweep)["dir"]  # a multirun sets it before its first job
+    file = Path(folder) / ledger.MULTIRUN
+    if "${" in folder or not file.is_file():
         return []
     whole = read_yaml(file)["hydra"]
     typed = OverridesParser.create().parse_overrides(whole["overrides"]["task"])
@@ -264,46 +247,19 @@ def swept() -> list[str]:
     return list(dict.fromkeys(keys))
 
 
-def varied(config: DictConfig) -> dict[str, Any]:
-    """Return the values in this job of the keys that a multirun varies."""
-    choices = HydraConfig.get().runtime.choices
-    return {
-        key: choices[key] if key in choices else OmegaConf.select(config, key) for key in swept()
-    }
-
-
 def _changed(*known: str) -> str:
     """Return the name of a run: what a multirun varies, or else what the command line sets.
 
-    The keys `known` are left out, as the path shows them anyway.
+    The keys `known` are left out, as the path shows them anyway. Of a multirun it is the name of
+    what the command line sets for all its runs.
     """
-    config = HydraConfig.get()
-    varied = swept()
+    config, named = HydraConfig.get(), swept()
     settings = dict(_split(override) for override in config.overrides.task)
     return joined_name(
         _word(key, value, key in config.runtime.choices)
         for key, value in settings.items()
-        if key not in known and (key in varied if config.mode == RunMode.MULTIRUN else True)
+        if key not in known and (key in named or not named)
     )
-
-
-def _swept_by(_root_: DictConfig) -> str:
-    """Return the name of a multirun: the settings of all its runs, and the keys that vary.
-
-    Hydra copies the cache of resolvers to each job of a multirun, so that all use the same folder.
-    """
-    cache = OmegaConf.get_cache(_root_)["swept_by"]
-    if "hydra" not in _root_:
-        return ""
-    if "name" not in cache:
-        config = _root_.hydra
-        words = []
-        for override in OverridesParser.create().parse_overrides(list(config.overrides.task)):
-            key, value = _split(override.input_line or "")
-            varies = override.is_sweep_override()
-            words.append(_word(key, "" if varies else value, key in config.runtime.choices))
-        cache["name"] = joined_name(words)
-    return str(cache["name"])
 
 
 def _unless_healthy(usual: float, _root_: DictConfig) -> float | None:

@@ -59,7 +59,6 @@ KINDS: dict[str, dict[str, str | type]] = {
     "scenario": {"": "suspnet.trains.simulation.fleet.Scenario"},
     "search": {"": "suspnet.learning.search.GridSearch"},
     "trips": {"": "suspnet.estimation.trip_settings.TripSettings"},
-    "tube": {"": "suspnet.runs.tube.TubeStudy"},
     "vehicle": {"": "suspnet.vehicle.Vehicle"},
 }
 """Kinds and the class of each, by the key below which the object is configured; a class itself
@@ -105,20 +104,14 @@ def class_of(place: str, kind: Any = None) -> Callable[..., Any]:
     return class_
 
 
-def check_kind(name: str, values: Mapping[str, Any]) -> None:
-    """Raise ValueError unless an object is configured with one of the kinds of its key."""
-    kinds = KINDS[name.rpartition(".")[2]]
-    kind = values.get("kind", "")
-    if not isinstance(kind, str) or kind not in kinds:
-        rule = f"one of {', '.join(kinds)}" if "" not in kinds else "left out"
-        raise ValueError(f"`{name}.kind` must be {rule}, got {kind!r}")
-
-
 def _built(values: Mapping[str, Any], name: str, vehicle: str | None = None) -> Any:
     """Return an object built from its settings, after the objects among them."""
-    check_kind(name, values)
     place = name.rpartition(".")[2]
-    class_ = class_of(place, values.get("kind"))
+    kind = values.get("kind", "")
+    if not isinstance(kind, str) or kind not in KINDS[place]:
+        rule = f"one of {', '.join(KINDS[place])}" if "" not in KINDS[place] else "left out"
+        raise ValueError(f"`{name}.kind` must be {rule}, got {kind!r}")
+    class_ = class_of(place, kind)
     arguments = {
         key: _built(value, f"{name}.{key}", vehicle)
         if key in PARTS.get(place, ()) and isinstance(value, dict)
@@ -164,27 +157,6 @@ def read_vehicles(folder: str | Path = CONFIGS) -> dict[str, Vehicle]:
     FileNotFoundError, TypeError, ValueError
         If the folder has no ``vehicle/NAME.yaml``, or a number of one is missing or wrong.
     """
-    vehicles = _vehicles_of(folder)
-    if not vehicles:
-        raise FileNotFoundError(
-            f"{folder} holds no vehicles: each is a file vehicle/NAME.yaml in it"
-        )
-    return vehicles
-
-
-def vehicles_with(folder: Path | None) -> dict[str, Vehicle]:
-    """Return suspnet's vehicles, and those of a user's folder (`--config-dir`) if there is one.
-
-    ValueError if the folder holds no vehicles; it raises what ``read_vehicles`` does.
-    """
-    if folder is None:
-        return read_vehicles()
-    if not (folder / "vehicle").is_dir():
-        raise ValueError(f"--config-dir={folder} holds no folder `vehicle`")
-    return read_vehicles() | read_vehicles(folder)
-
-
-def _vehicles_of(folder: str | Path) -> dict[str, Vehicle]:
     vehicles: dict[str, Vehicle] = {}
     for file in sorted((Path(folder) / "vehicle").glob("*.yaml")):
         _, content = read_settings(file)
@@ -195,14 +167,16 @@ def _vehicles_of(folder: str | Path) -> dict[str, Vehicle]:
             vehicles[file.stem] = _built({str(key): vehicle[key] for key in vehicle}, "vehicle")
         except (TypeError, ValueError) as error:
             raise type(error)(f"{file}: {error}") from error
+    if not vehicles:
+        raise FileNotFoundError(
+            f"{folder} holds no vehicles: each is a file vehicle/NAME.yaml in it"
+        )
     return vehicles
 
 
-def read_all_vehicles() -> dict[str, Vehicle]:
-    """Return the vehicles of ``read_vehicles`` and those in the folder that --config-dir names."""
-    sources = HydraConfig.get().runtime.config_sources
-    folders = [source.path for source in sources if source.schema == "file"]
-    return {name: vehicle for folder in folders for name, vehicle in _vehicles_of(folder).items()}
+def vehicles_with(folder: Path | None) -> dict[str, Vehicle]:
+    """Return suspnet's vehicles, and those of a user's folder (`--config-dir`) if there is one."""
+    return read_vehicles() | (read_vehicles(folder) if folder else {})
 
 
 def board_settings(config: DictConfig, alarms: DictConfig) -> BoardSettings:
@@ -211,8 +185,11 @@ def board_settings(config: DictConfig, alarms: DictConfig) -> BoardSettings:
 
     check_choice("reference", alarms.reference, ("vehicle", "first_trips"))
     check_number("n_reference", alarms.n_reference, low=1, most=1024, whole=True)
+    sources = (Path(source.path) for source in HydraConfig.get().runtime.config_sources)
+    folders = (folder for folder in sources if (folder / "vehicle").is_dir())
+    vehicles = [vehicle for folder in folders for vehicle in read_vehicles(folder).values()]
     return BoardSettings(
-        vehicles={vehicle.name: vehicle.known_limits for vehicle in read_all_vehicles().values()},
+        vehicles={vehicle.name: vehicle.known_limits for vehicle in vehicles},
         limits=plain(alarms.limits),
         changes=build(alarms, "changes"),
         plan=build(config, "plan"),

@@ -1,4 +1,4 @@
-"""Options of the programs without a configuration: suspnet check, suspnet init, suspnet history.
+"""Options of the programs without a configuration: suspnet check, demo, init and history.
 
 They are parsed before the programs' modules are imported.
 """
@@ -25,33 +25,30 @@ channels and speed, their spectra, and the coherence. Trips are not changed."""
 CHECK_EPILOG = """\
 exit code: 0 if every trip could be read, 1 if there is any problem.
 
-  suspnet check trips/car7                  all manifests of a folder, or of its subfolders
-  suspnet check trip_001.yaml trip_002.yaml --no-pictures
   suspnet check trips/car7 --run outputs/trips/RUN       are these trips read by that model?"""
+DEMO_DESCRIPTION = """\
+Simulate a train of which one damper fades, learn it on its first trips and read all of them. Print
+the verdict, and open the report in a browser if there is one. Trips, model and report are in the
+folder demo; files there that suspnet did not write are left as they are."""
 INIT_DESCRIPTION = """\
 Write the manifests of all trips of a folder, or of one trip, from data files: their columns, with
 the rates and units that the files state. Which column is which channel is guessed from names (axle
 box, bogie frame, body, left, right, speed; in English or German) and marked as a guess. If anything
 is missing, it is listed and nothing is written. With --vehicle, write the file of a vehicle."""
 INIT_EPILOG = """\
-  suspnet init trips/car7                       what is missing for the manifests of all trips?
   suspnet init trips/car7 vehicle=am96 suspension="car 7" --table km.csv
-  suspnet init --vehicle mine vehicles          what numbers does the file of a vehicle need?
+  suspnet init --vehicle mine vehicles          the file of a vehicle, to be filled in
   suspnet init trip_7/*.csv -o trip_7.yaml      the manifest of one trip"""
 HISTORY_DESCRIPTION = """\
 The history of a fleet, as written by evaluate.py trips=DIR store=STORE: list it, add maintenance,
 show and acknowledge alarms, export all of it as tables."""
 HISTORY_EPILOG = """\
-  suspnet history fleet.db list
   suspnet history fleet.db event --vehicle am96 --suspension "car 7, left" --at-km 120000 \\
       --kind exchanged --words "new primary dampers"
-  suspnet history fleet.db alarms
   suspnet history fleet.db acknowledge --vehicle am96 --suspension "car 7, left" \\
       --parameter k_p --by "Kim Li" --words "spring ordered"
-  suspnet history fleet.db export tables
   suspnet history fleet.db notify notify.yaml --follow
   suspnet history fleet.db backup /backups/fleet.db
-  suspnet history fleet.db restore /backups/fleet.db
 
 STORE is a file, or postgresql://user:password@host/database."""
 
@@ -65,60 +62,30 @@ def _parser(name: str, description: str, epilog: str) -> ArgumentParser:
 def check_parser() -> ArgumentParser:
     """Return the options of suspnet check."""
     parser = _parser("suspnet check", CHECK_DESCRIPTION, CHECK_EPILOG)
-    parser.add_argument(
-        "trips",
-        nargs="+",
-        type=Path,
-        metavar="DIR",
-        help="folder with a manifest (*.yaml) for each trip, or with subfolders that hold them; or "
-        "a manifest [one or more paths]",
-    )
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="DIR",
-        help="folder of page, JSON and pictures: a new one, or that of an earlier check [path; "
-        "outputs/check/TIME if not given]",
-    )
-    parser.add_argument(
-        "--language",
-        default="en",
-        choices=("en", "de"),
-        help="language of page and pictures; check.json and the terminal are English [en]",
-    )
-    parser.add_argument(
-        "--no-pictures", action="store_true", help="draw nothing, which is faster [switch]"
-    )
-    parser.add_argument(
-        "--workers",
-        type=int,
-        metavar="N",
-        help="number of trips that are read at the same time, each in a process [whole number; at "
-        "least 1; 2 for more than 10 trips and 1 for fewer if not given]",
-    )
-    parser.add_argument(
-        "--config-dir",
-        type=Path,
-        metavar="DIR",
-        help="folder with your own vehicles, vehicle/NAME.yaml, as for train.py [path; none if not "
-        "given]",
-    )
-    parser.add_argument(
-        "--run",
-        type=Path,
-        action="append",
-        metavar="DIR",
-        help="folder of a training whose models must read the trips, as of evaluate.py; may be "
-        "given several times [path; none if not given]",
-    )
-    parser.add_argument(  # taken off before: it is here for --help
-        "--plugin",
-        action="append",
-        metavar="FILE",
-        help="Python file of yours that is run first and registers the methods of --run [path]",
-    )
+    add = parser.add_argument
+    trips = "folder of manifests (*.yaml), or of such folders; or a manifest [one or more paths]"
+    add("trips", nargs="+", type=Path, metavar="DIR", help=trips)
+    output = "folder of the results, new or of an earlier check [path; outputs/check/TIME]"
+    add("-o", "--output", type=Path, metavar="DIR", help=output)
+    language = "language of page and pictures; check.json and the terminal are English [en]"
+    add("--language", default="en", choices=("en", "de"), help=language)
+    pictures = "draw nothing, which is faster [switch]"
+    add("--no-pictures", action="store_true", help=pictures)
+    workers = "number of processes that read trips [whole number; at least 1; 1 up to 10 trips]"
+    add("--workers", type=int, metavar="N", help=workers)
+    own = "folder with your own vehicles, vehicle/NAME.yaml, as for train.py [path; none]"
+    add("--config-dir", type=Path, metavar="DIR", help=own)
+    run = "training whose models must read the trips; may be given several times [path; none]"
+    add("--run", type=Path, action="append", metavar="DIR", help=run)
+    # taken off before: it is here for --help
+    plugin = "Python file of yours that is run first and registers the methods of --run [path]"
+    add("--plugin", action="append", metavar="FILE", help=plugin)
     return parser
+
+
+def demo_parser() -> ArgumentParser:
+    """Return the options of suspnet demo, which has none."""
+    return _parser("suspnet demo", DEMO_DESCRIPTION, "")
 
 
 def init_parser() -> ArgumentParser:
@@ -126,47 +93,31 @@ def init_parser() -> ArgumentParser:
     from suspnet.trains.recordings.formats import READERS  # with pyarrow
 
     parser = _parser("suspnet init", INIT_DESCRIPTION, INIT_EPILOG)
-    parser.add_argument(
-        "files",
-        nargs="*",
-        metavar="DIR | FILE | KEY=VALUE",
-        help="folder of data files of any number of trips, or data files of one trip, and "
-        "what holds for all of them as KEY=VALUE; of --vehicle the folder of vehicles and its "
-        "numbers "
-        f"[paths with {', '.join(sorted(READERS))}]",
+    add = parser.add_argument
+    files = (
+        "folder of data files of any number of trips, or data files of one trip, and what holds "
+        "for all of them as KEY=VALUE; of --vehicle the folder of vehicles "
+        f"[paths with {', '.join(sorted(READERS))}]"
     )
-    parser.add_argument(
-        "--config-dir",
-        type=Path,
-        metavar="DIR",
-        help="folder with your own vehicles, vehicle/NAME.yaml: the trips' vehicle must be one of "
-        "them or of suspnet's [path; none if not given]",
+    add("files", nargs="*", metavar="DIR | FILE | KEY=VALUE", help=files)
+    own = (
+        "folder with your own vehicles, vehicle/NAME.yaml: the trips' vehicle must be one of them "
+        "or of suspnet's [path; none]"
     )
-    parser.add_argument(
-        "--table",
-        type=Path,
-        metavar="FILE",
-        help="table of the trips with columns file, mileage_km, start, direction and "
+    add("--config-dir", type=Path, metavar="DIR", help=own)
+    table = (
+        "table of the trips with columns file, mileage_km, start, direction and "
         "other keys of a manifest, names in English or German; if there is no such file and "
-        "mileages are missing, it is written to be filled in [path of a CSV file]",
+        "mileages are missing, it is written to be filled in [path of a CSV file]"
     )
-    parser.add_argument(
-        "--vehicle",
-        metavar="NAME",
-        help="write the file of a vehicle, DIR/vehicle/NAME.yaml, from its numbers KEY=VALUE; "
-        "without them, list what each is, and which matter little [name; DIR is vehicles]",
+    add("--table", type=Path, metavar="FILE", help=table)
+    vehicle = (
+        "write DIR/vehicle/NAME.yaml, in which you fill in the numbers [name; DIR is vehicles]"
     )
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="FILE",
-        help="the manifest to write [path that ends with .yaml; FIRST.yaml next to the first data "
-        "file if not given]",
-    )
-    parser.add_argument(
-        "--force", action="store_true", help="replace the manifest if there is one [switch]"
-    )
+    add("--vehicle", metavar="NAME", help=vehicle)
+    output = "the manifest of one trip [path that ends with .yaml; next to the first data file]"
+    add("-o", "--output", type=Path, metavar="FILE", help=output)
+    add("--force", action="store_true", help="replace the manifest if there is one [switch]")
     return parser
 
 
@@ -247,6 +198,7 @@ def _add_suspension(command: ArgumentParser) -> None:
 
 PARSERS: Mapping[str, Callable[[], ArgumentParser]] = {
     "check": check_parser,
+    "demo": demo_parser,
     "init": init_parser,
     "history": history_parser,
 }

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import inspect
+import json
 import re
 import sys
 import traceback
@@ -190,16 +191,12 @@ def _defaults(name: str, cls: type) -> Mapping[str, Any]:
         if argument.kind in (argument.VAR_KEYWORD, argument.VAR_POSITIONAL):
             continue
         value = "???" if argument.default is argument.empty else argument.default
-        if not _is_plain(value):
+        try:
+            json.dumps(value)
+        except TypeError as error:
             raise ValueError(
                 f"the default of `{key}` of the method {name!r} must be a number, a text, a list "
                 f"of these or None, got {value!r}: nothing else can be saved"
-            )
+            ) from error
         defaults[key] = list(value) if isinstance(value, tuple) else value
     return defaults
-
-
-def _is_plain(value: Any) -> bool:
-    if isinstance(value, list | tuple):
-        return all(map(_is_plain, value))
-    return value is None or isinstance(value, bool | int | float | str)

@@ -32,11 +32,11 @@ def of_healthy(
 def _vehicle_in(folder: Path) -> str | None:
     """Return the vehicle of the first manifest in a folder or its subfolders; None without one.
 
-    What is wrong with the folder is said when its trips are read.
+    What is wrong with the folder, or missing to read trips, is said when they are read.
     """
-    from suspnet.trains.recordings.manifest_files import ManifestFile, find_manifests
+    with suppress(ImportError, OSError, ValueError):
+        from suspnet.trains.recordings.manifest_files import ManifestFile, find_manifests
 
-    with suppress(OSError, ValueError):
         for place in (folder, *sorted(path for path in folder.iterdir() if path.is_dir())):
             with suppress(OSError, ValueError):
                 content = ManifestFile(find_manifests(place)[0]).content

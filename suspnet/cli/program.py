@@ -30,17 +30,18 @@ from hydra.errors import HydraException, InstantiationException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from suspnet.cli import folders, reference, signals
-from suspnet.cli.config_files import CONFIGS, as_written, read_values, store_tables
+from suspnet.cli import folders, signals
+from suspnet.cli.config_files import CONFIGS, as_written, check_values, register_help, store_tables
 from suspnet.cli.loader import CheckedLoader
 from suspnet.cli.typed_words import as_overrides
 from suspnet.ground import progress
+from suspnet.ground.extras import missing_words, named_extras
 from suspnet.ground.parameters import DEFAULT_LIMITS, read_limits
-from suspnet.ground.settings import Declared, Setting
+from suspnet.ground.settings import check_number
 from suspnet.ground.storage import printable, why, write_atomically
 from suspnet.ground.workers import LostWorkerError, end_with_parent, fork_from_server, guard_joblib
 
-WITH_OPTIONS = ("check", "history", "init")
+WITH_OPTIONS = ("check", "demo", "history", "init")
 """Programs that read no configuration."""
 POOLS = {
     "evaluate": ("suspnet.trains.jobs.fleet", "monitor.workers", "trips"),
@@ -57,7 +58,7 @@ SERVER = re.compile(r"\bpostgres(ql)?(\+\w+)?://")
 PASSWORD = re.compile(r"(?<=://)([^:/@]*):([^@]*)@|(?<=[?&])password=([^&'\"]*)&?")
 """Password in the URL of a server, after the user or as an option."""
 REMOVED = {
-    re.compile(r"'(?:\w+/)?(ablation|layouts|reliability)"): (
+    re.compile(r"'(?:\w+/)?(ablation|layouts|reliability|tube)"): (
         "is a script of the sources now: python benchmarks/{0}.py --help"
     ),
     re.compile(r"'(protocol/components)'"): (
@@ -65,6 +66,12 @@ REMOVED = {
     ),
     re.compile(r"(plan\.(?:visit|costs|step_days|plan_again_risk|reach_km|notice_days))\b"): (
         "is gone: plan.risk and bundle_days set what is done when"
+    ),
+    re.compile(r"'(?:\w+/)?(sensitivity)"): (
+        "is gone: experiment=paper draws Fig. 11, and -m data.snr_db=26,34,54 lists errors"
+    ),
+    re.compile(r"override '(token_file)'"): (
+        "is gone: the environment variable SUSPNET_API_TOKEN_FILE names the file"
     ),
     re.compile(r"override '(experiment)'"): (
         "is of train.py, studies are of evaluate.py: python train.py experiment=NAME"
@@ -78,7 +85,7 @@ is_debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
 
 store_tables()
 folders.register()
-reference.register()
+register_help()
 
 
 def main(name: str) -> None:
@@ -92,12 +99,7 @@ def main(name: str) -> None:
     plugins: list[str] = []
     run(lambda: plugins.extend(_load_plugins(sys.argv)))
     if name in WITH_OPTIONS:
-        options = import_module("suspnet.cli.options")
-        parser = options.PARSERS[name]()
-        # files and KEY=VALUE may come between options, which argparse allows without subcommands
-        is_mixed = name != "history"
-        arguments = parser.parse_intermixed_args() if is_mixed else parser.parse_args()
-        run(lambda: sys.exit(getattr(_imported(name), name)(arguments)))
+        run(lambda: _run_with_options(name))
         return
     sys.argv[1:] = as_overrides(sys.argv[1:])
     program = hydra.main(version_base="1.3", config_path=CONFIGS, config_name=name)(
@@ -105,6 +107,14 @@ def main(name: str) -> None:
     )
     with signals.until_it_listens() if name == "serve" else nullcontext():
         run(program, unwinds=name != "serve")
+
+
+def _run_with_options(name: str) -> None:
+    parser = import_module("suspnet.cli.options").PARSERS[name]()
+    # files and KEY=VALUE may come between options, which argparse allows without subcommands
+    is_mixed = name != "history"
+    arguments = parser.parse_intermixed_args() if is_mixed else parser.parse_args()
+    sys.exit(getattr(_imported(name), name)(arguments))
 
 
 def _without_password(argument: str) -> str:
@@ -137,7 +147,12 @@ def _task_of(name: str, plugins: Sequence[str] = ()) -> Callable[[DictConfig], N
             import_module("suspnet.cli.plugins").load_plugins(plugins)
         else:
             _serve_workers(name, config)
-        _imported(name).main(config)
+        try:  # Hydra would print a line of its own about an error that leaves this function
+            with named_extras("live" if name == "serve" else None):
+                main = _imported(name).main
+        except ValueError as error:
+            raise SystemExit(one_line(error)) from None
+        main(config)
 
     program.__module__ = f"suspnet.cli.{name}"  # Hydra names the log by it
     return program
@@ -179,6 +194,7 @@ def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
             signals.terminable() if unwinds else nullcontext(),
             _whole_errors(),
             _checked_loader(),
+            named_extras(),
         ):
             main()
     except SystemExit as ended:  # its message may hold names of files
@@ -250,9 +266,9 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
     def wrapped(config: DictConfig) -> Any:
         end_with_parent()
         try:
-            read_values(config)
+            check_values(config)
             _check_limits(config)
-            with _progress():
+            with _progress(), named_extras():
                 return function(config)
         except BrokenPipeError:
             raise SystemExit(_output_ended()) from None
@@ -260,7 +276,6 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
             if is_debugging or not (isinstance(error, MISTAKES) or folders.is_job()):
                 raise
             if isinstance(error, MISTAKES):
-                folders.remove_unused(run_folder())
                 line = one_line(error)
             else:
                 line = f"error: {note_bug(error, run_folder())}"
@@ -314,6 +329,8 @@ def one_line(error: BaseException) -> str:
     ):
         error = error.__cause__
     message = text = str(error)
+    if not isinstance(error, ValueError):
+        message = missing_words(error) or message
     if isinstance(error, RecursionError):
         message = "the configuration is nested too deeply, or refers to itself"
     if isinstance(error, MemoryError):
@@ -349,20 +366,6 @@ def run_folder() -> Path:
     return Path(HydraConfig.get().runtime.output_dir)
 
 
-THREADS = Declared(
-    "threads",
-    int,
-    True,
-    Setting(
-        "Threads of torch and BLAS, and blocks of curves made at a time; null is as many as torch "
-        "takes",
-        low=1,
-        most=1024,
-    ),
-)
-"""Key `threads` of the programs that train or score models."""
-
-
 def n_threads(wanted: int | None) -> int:
     """Set the threads of torch and BLAS to `wanted`, or leave them if None; return their number."""
     import torch  # takes seconds
@@ -370,7 +373,7 @@ def n_threads(wanted: int | None) -> int:
 
     if wanted is None:
         return torch.get_num_threads()
-    THREADS.check("threads", wanted)
+    check_number("threads", wanted, low=1, most=1024, whole=True)
     threadpool_limits(wanted)
     torch.set_num_threads(wanted)
     return wanted

@@ -23,7 +23,6 @@ from suspnet.cli.kinds import board_settings
 from suspnet.depot.live.broker import secret
 from suspnet.ground.extras import check_extra
 from suspnet.ground.settings import check_settings, setting
-from suspnet.ground.storage import read_plain, why
 from suspnet.runs.language import check_language
 from suspnet.trains.history import History
 from suspnet.trains.history.database import BusyError
@@ -33,13 +32,10 @@ if TYPE_CHECKING:
     from suspnet.depot.web.access import Access
 
 log = logging.getLogger(__name__)
-NEEDED = ("flask", "flask_wtf", "waitress", "pydantic")
-"""Packages of the extra `live` that the pages need."""
 END_S = 2.0
 """Longest wait for each part of the program at the end, [s]."""
 TOKEN_VARIABLE = "SUSPNET_API_TOKEN"
 """Environment variable with the token of programs; with _FILE after its name, of its file."""
-MOST_TOKEN_BYTES = 4096
 ANY = "0.0.0.0"
 """Address that means all addresses of this computer."""
 
@@ -65,7 +61,7 @@ class ServeSettings:
 @program.task
 def main(config: DictConfig) -> None:
     """Check the settings and serve the pages until Ctrl-C."""
-    check_extra("live", *NEEDED)
+    check_extra("live")
     if OmegaConf.is_missing(config, "store") or not config.store:
         raise ValueError("which history? Give store=FILE, or store=postgresql://...")
     ServeSettings(config.port, config.refresh_s, config.threads)
@@ -152,35 +148,13 @@ def _access(config: DictConfig) -> Access:
     for name in ("trusted_proxies", "engineers"):
         if not isinstance(config[name], ListConfig):
             raise ValueError(f"`{name}` is a list, as {name}=[NAME, ...], got {config[name]!r}")
+    is_given = any(os.environ.get(TOKEN_VARIABLE + end) for end in ("", "_FILE"))
     return Access(
         str(config.user_header or ""),
         [str(address) for address in config.trusted_proxies],
         [str(name) for name in config.engineers],
-        _token(config.token_file),
+        secret(TOKEN_VARIABLE, "the API") if is_given else "",
     )
-
-
-def _token(file: str | None) -> str:
-    """Return the token of programs from a file or the environment; empty if there is none."""
-    variables = [
-        variable
-        for variable in (TOKEN_VARIABLE, f"{TOKEN_VARIABLE}_FILE")
-        if os.environ.get(variable)
-    ]
-    if file is None:
-        return secret(TOKEN_VARIABLE, "the API") if variables else ""
-    if variables:
-        raise ValueError(f"the token is given twice, by token_file= and by {variables[0]}")
-    try:
-        content = read_plain(Path(file), MOST_TOKEN_BYTES)
-        if os.stat(file).st_mode & 0o077:
-            log.warning("warning: others than its owner may use %s: chmod 600 %s", file, file)
-    except OSError as error:
-        raise ValueError(f"token_file={file}: {why(error)}") from None
-    token = content.decode("utf-8", "replace").strip()
-    if not token:
-        raise ValueError(f"token_file={file} is empty; make one by: openssl rand -base64 32")
-    return token
 
 
 def _prefix(path: str | None) -> str:

@@ -11,32 +11,19 @@ from omegaconf import DictConfig
 
 from suspnet.cli import program
 from suspnet.cli.kinds import build
-from suspnet.ground.settings import Declared, Setting
+from suspnet.ground.settings import check_number
 from suspnet.ground.wording import command
-from suspnet.ground.workers import ITEMS_A_WORKER, USUAL_WORKERS
 from suspnet.trains.simulation.fleet import Trains
 from suspnet.trains.simulation.folders import FolderTakenError
 from suspnet.trains.simulation.writing import Simulation, write_fleet, write_trains
 
 log = logging.getLogger(__name__)
-WORKERS = Declared(
-    "workers",
-    int,
-    True,
-    Setting(
-        "Number of trips, of a fleet of suspensions, that are simulated at the same time; null is "
-        f"1 for up to {ITEMS_A_WORKER} trips, else {USUAL_WORKERS}",
-        low=1,
-        most=1024,
-    ),
-)
-"""Key `workers`."""
 
 
 @program.task
 def main(config: DictConfig) -> None:
     """Compose the fleet, simulate it and write it."""
-    WORKERS.check("workers", config.workers)
+    check_number("workers", config.workers, low=1, most=1024, whole=True, optional=True)
     trains = _trains(config)
     parts = [build(config, key) for key in ("fleet", "scenario", "generator")]
     fleet, scenario, generator = parts

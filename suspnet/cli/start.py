@@ -48,8 +48,8 @@ def leave_current_folder() -> None:
 
 PROGRAMS = (
     *("train", "evaluate", "simulate", "check", "init", "history"),
-    *("monitor", "replay", "serve"),
+    *("monitor", "replay", "serve", "demo"),
 )
-train, evaluate, simulate, check, init, history, monitor, replay, serve = (
+train, evaluate, simulate, check, init, history, monitor, replay, serve, demo = (
     functools.partial(start, name) for name in PROGRAMS
 )

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, ListConfig
 from sklearn.exceptions import ConvergenceWarning
 
@@ -31,6 +30,7 @@ from suspnet.curves.speeds import SpeedRange, covering, setting_words
 from suspnet.estimation.bogie_model import BogieModel
 from suspnet.estimation.flags import Residual
 from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.extras import optional
 from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
 from suspnet.ground.settings import check_choice, check_values
 from suspnet.ground.wording import command, span
@@ -39,18 +39,20 @@ from suspnet.runs.fit import check_hyperparameters
 from suspnet.runs.language import check_language, speaking
 from suspnet.runs.scores import Metrics
 from suspnet.runs.train import RunContext, speed_ranges, train, train_ranges
-from suspnet.runs.tube import write_tube
-from suspnet.trains.identification.commissioning_summary import usable_minutes
-from suspnet.trains.identification.healthy_trips import read_healthy
-from suspnet.trains.jobs.commissioning import (
-    check_generator,
-    commission_parts,
-    commission_trips,
-    write_bogie_model,
-)
-from suspnet.trains.pages.commissioning_page import training_notes, write_outcome
-from suspnet.trains.recordings.manifest_files import ManifestFile
 from suspnet.vehicle import ResponseGenerator, VerticalVehicle
+
+with optional("trips"):  # `suspensions` says what is missing
+    from suspnet.trains.identification.commissioning_summary import usable_minutes
+    from suspnet.trains.identification.healthy_trips import read_healthy
+    from suspnet.trains.jobs.commissioning import (
+        check_generator,
+        commission_parts,
+        commission_trips,
+        write_bogie_model,
+    )
+    from suspnet.trains.pages.commissioning_page import training_notes, write_outcome
+if TYPE_CHECKING:
+    from suspnet.trains.recordings.manifest_files import ManifestFile
 
 log = logging.getLogger(__name__)
 NO_SPEED = (
@@ -78,9 +80,6 @@ def main(config: DictConfig) -> None:
     warnings.simplefilter("always", ConvergenceWarning)
     check_language(config.language)
     program.n_threads(config.threads)  # healthy trips are fitted before the models are
-    if config.get("tube"):
-        _study_tube(config, program.run_folder())
-        return
     config.n_healthy = read_numbers(config.n_healthy)
     folder, groups = program.run_folder(), suspensions(config)
     if len(groups) == 1:
@@ -97,24 +96,16 @@ def main(config: DictConfig) -> None:
         train_fleet(config, folder, groups, _run)
     else:
         folders.start_again(folder)
-        is_first = not folders.is_job() or HydraConfig.get().job.num == 0
-        _run(config, folder, varied=folders.varied(config), draw=is_first)
+        _run(config, folder)
     if groups:
         read = command("evaluate", f"trips={config.healthy}", f"run={folder}")
         log.info("then run: %s", read)
 
 
-def _run(
-    config: DictConfig,
-    folder: Path,
-    paths: Sequence[ManifestFile] | None = None,
-    varied: Mapping[str, Any] | None = None,
-    draw: bool = True,
-) -> None:
+def _run(config: DictConfig, folder: Path, paths: Sequence[ManifestFile] | None = None) -> None:
     """Train the models of one suspension and fill a folder.
 
-    `paths`: manifests of its healthy trips, None is all of the folder; `varied`: what a multirun
-    varies; `draw`: whether to draw figures of the vehicle.
+    `paths`: manifests of its healthy trips, None is all of the folder.
     """
     # refuse wrong settings before minutes of healthy trips and curves
     build(config, "protocol").task(config.group)
@@ -136,7 +127,7 @@ def _run(
         config.data.minutes = healthy.minutes
         log.info("healthy trips have about %g usable minutes: so do training's", healthy.minutes)
     directions = _directions(config, healthy)
-    train_one = partial(_train, healthy=healthy, varied=varied, draw=draw)
+    train_one = partial(_train, healthy=healthy)
     if not isinstance(speeds, ListConfig | list) and len(directions) == 1:
         own = config.copy()
         own.speed_m_per_s = speeds
@@ -147,22 +138,6 @@ def _run(
     ranges = [replace(r, direction=d) for r in _ranges(config, speeds) for d in directions]
     program.save_config(config, folder)
     train_ranges(ranges, lambda one, where: train_one(_bound(config, one), where), folder)
-
-
-def _study_tube(config: DictConfig, folder: Path) -> None:
-    check_values(HealthySettings, workers=config.workers)
-    study = build(config, "tube")
-    program.save_config(config, folder)
-    write_tube(
-        study,
-        build(config, "generator"),
-        build(config, "protocol"),
-        build(config, "data"),
-        folder,
-        seed=config.seed,
-        workers=config.workers,
-        progress=config.progress,
-    )
 
 
 def _at_a_speed(config: DictConfig) -> DictConfig:
@@ -298,8 +273,6 @@ def _train(
     config: DictConfig,
     folder: Path,
     healthy: _Healthy | None,
-    varied: Mapping[str, Any] | None,
-    draw: bool,
     given: DictConfig | None = None,
 ) -> Metrics:
     """Train one model and fill a folder; config.yaml holds `given`, or else `config`."""
@@ -325,8 +298,6 @@ def _train(
         figures=config.figures,
         context=RunContext(
             config=resolved,
-            varied=varied,
-            draw_vehicle=draw,
             notes={"commissioned": healthy.notes} if healthy else {},
             residual=healthy.residual if healthy else None,
         ),

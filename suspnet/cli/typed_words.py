@@ -20,7 +20,7 @@ MAPPINGS = ("n_healthy",)
 """Keys of a number or a mapping from names of folders; the program reads the mapping as text."""
 PATHS = (
     *("healthy", "journal", "notify", "out", "resume", "store", "suspensions"),
-    *("token_file", "trips", "source.folder"),
+    *("trips", "source.folder"),
     *(f"source.broker.{key}_file" for key in ("ca", "cert", "key")),
 )
 """Keys of one path. In the files of configurations their unit is ``path``."""
@@ -31,24 +31,19 @@ WITH_VALUE = ("--config-dir", "-cd", "--config-path", "-cp", "--config-name", "-
 WORD = re.compile(r"(\+{0,2}([\w.]+)=)(.*)", re.ASCII | re.DOTALL)
 PLAIN = re.compile(r"(?!(?:true|false|null|nan|inf)$)[a-z/][\w/.-]*|null", re.ASCII | re.IGNORECASE)
 """Text that the grammar takes as it is, and null."""
-CALL = re.compile(r"(choice|range|shuffle|sort|tag)\(.*\)")
-"""A sweep that the grammar computes."""
-TEXT_IN_QUOTES = r"'(?:\\.|[^'\\])*'|\"(?:\\.|[^\"\\])*\""
-QUOTED = re.compile(TEXT_IN_QUOTES, re.DOTALL)
-ITEM = re.compile(rf"\s*({TEXT_IN_QUOTES}|\[.*?\](?=,|$)|[^,]*?)\s*(?:,|$)", re.DOTALL)
+QUOTED = re.compile(r"'(?:\\.|[^'\\])*'|\"(?:\\.|[^\"\\])*\"", re.DOTALL)
+ENTRY = re.compile(r"\s*(.+?)\s*:\s*([^,:]*?)\s*(?:,|$)")
+"""A name and its value."""
 
 
 def as_overrides(words: Sequence[str]) -> list[str]:
     r"""Return the words of a command line with what Hydra would not read as typed in quotes.
 
-    A file or a folder that has exactly the name typed is meant by it. Otherwise a multirun reads
-    commas between paths as the grammar does, and a list of runs its brackets; text in quotes and
-    null stay as they are.
+    A file or a folder that has exactly the name typed is meant by it. Otherwise the sweeps of a
+    multirun and lists of runs are left to the grammar; text in quotes and null stay as they are.
 
-    >>> as_overrides(["trips=Züge, neu", "store=4711", "run=[a,it's]", "seed=1", "resume=null"])
-    ["trips='Züge, neu'", "store='4711'", "run=[a,'it\\'s']", 'seed=1', 'resume=null']
-    >>> as_overrides(["-m", "trips=Züge,trips/b"])
-    ['-m', "trips='Züge',trips/b"]
+    >>> as_overrides(["trips=Züge, neu", "store=4711", "run=[a,b]", "seed=1", "resume=null"])
+    ["trips='Züge, neu'", "store='4711'", 'run=[a,b]', 'seed=1', 'resume=null']
     """
     is_multirun = bool({"-m", "--multirun"} & set(words))
     return [
@@ -60,8 +55,7 @@ def as_overrides(words: Sequence[str]) -> list[str]:
 def listed(paths: Sequence[object]) -> str:
     """Return one path, or a list of several, as the value of a key."""
     texts = [str(path) for path in paths]
-    needs_quotes = re.compile(r"[][,'\"\\]|^\s|\s$")
-    items = [quoted(text) if needs_quotes.search(text) else text for text in texts]
+    items = [text if PLAIN.fullmatch(text) else quoted(text) for text in texts]
     return texts[0] if len(texts) == 1 else f"[{','.join(items)}]"
 
 
@@ -73,13 +67,13 @@ def quoted(text: str, *, is_literal: bool = True) -> str:
 
 
 def of_each_name(text: str) -> dict[str, Any]:
-    """Return the names and the values of ``{NAME:VALUE,...}``; a value may be any YAML.
+    """Return the names and the values of ``{NAME:VALUE,...}``.
 
     >>> of_each_name("{Züge: 5, 417_003:null}")
     {'Züge': 5, '417_003': None}
     """
-    pairs = (item.rpartition(":") for item in _items(text[1:-1]))
-    return {name.strip(" '\""): parse_yaml(value) for name, _, value in pairs}
+    pairs = ENTRY.findall(text[1:-1])
+    return {name.strip("'\""): parse_yaml(value) for name, value in pairs}
 
 
 def _override(word: str, is_multirun: bool) -> str:
@@ -90,27 +84,10 @@ def _override(word: str, is_multirun: bool) -> str:
     if key in MAPPINGS:
         is_mapping = value.startswith("{") and value.endswith("}")
         return start + quoted(value) if is_mapping else word
-    if key not in (*PATHS, *LISTS, *FOLDERS_OF_HYDRA):
+    if key not in (*PATHS, *LISTS, *FOLDERS_OF_HYDRA) or PLAIN.fullmatch(value):
         return word
-    if is_multirun and key not in FOLDERS_OF_HYDRA and not os.path.lexists(value):
-        if CALL.fullmatch(value):
-            return word
-        return start + ",".join(_value(item, key) for item in _items(value))
-    return start + _value(value, key)
-
-
-def _value(text: str, key: str) -> str:
-    """Return one value of a key as the grammar takes it."""
-    if not os.path.lexists(text):
-        if QUOTED.fullmatch(text):
-            return text
-        if key in LISTS and text.startswith("[") and text.endswith("]"):
-            return f"[{','.join(_value(item, '') for item in _items(text[1:-1]))}]"
-    if PLAIN.fullmatch(text):
-        return text
-    return quoted(text, is_literal=key not in FOLDERS_OF_HYDRA)
-
-
-def _items(text: str) -> list[str]:
-    """Return the items between commas, except commas in quotes or brackets."""
-    return [item[1] for item in ITEM.finditer(text) if item[1]]
+    # what Hydra's grammar has a meaning for is meant so, unless it is the name of a file
+    is_of_hydra = is_multirun or (key in LISTS and value.startswith("[") and value.endswith("]"))
+    if (QUOTED.fullmatch(value) or is_of_hydra) and not os.path.lexists(value):
+        return word
+    return start + quoted(value, is_literal=key not in FOLDERS_OF_HYDRA)

@@ -6,7 +6,6 @@ import logging
 import math
 import re
 import sys
-import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from typing import Any, TextIO, cast
@@ -30,73 +29,47 @@ def bar(
     unit: str = "",
     shown: bool = True,
 ) -> Any:
-    """Return a progress bar of tqdm, or a similar object that logs lines instead.
+    """Return a progress bar of tqdm, on a terminal or as lines of the log.
 
-    A line is logged when the step starts and every ``INTERVAL_S``, also without progress. `unit` is
-    the singular of the things counted, empty if nothing is. Unless `shown`, there is no bar and
-    only the first line.
+    A line is logged when the step starts and when an item is done ``INTERVAL_S`` after the last
+    line, without `shown` only at the start. `unit` is the singular of the things counted, empty if
+    nothing is.
     """
     if shown and sys.stderr.isatty():
         form = None if unit else "{desc}: {elapsed}"
         return tqdm(items, title, total, unit=unit, bar_format=form)
+    count = "{desc}: {n_fmt} of {total_fmt} [{elapsed}<{remaining}]"
     interval_s = INTERVAL_S if shown else math.inf
-    # gui: tqdm draws nothing itself
-    lines = Lines(items, title, total, unit=unit, gui=True, maxinterval=interval_s)
-    if lines.total != 0:
-        lines.refresh()
-    return lines
+    return tqdm(
+        items,
+        title,
+        total,
+        unit=unit,
+        bar_format=count if total else "{desc}: {n_fmt} [{elapsed}]" if unit else "{desc}",
+        file=_LogStream(),
+        leave=False,
+        smoothing=0,
+        mininterval=interval_s,
+        maxinterval=interval_s,
+        disable=total == 0,
+    )
+
+
+class _LogStream:
+    """A text stream whose lines go to the log."""
+
+    def write(self, text: str) -> int:
+        if not MOVES.fullmatch(text) and text.strip():
+            log.info("%s", text.strip())
+        return len(text)
+
+    def flush(self) -> None:
+        pass
 
 
 def stage(text: str) -> None:
     """Log that a step starts."""
     log.info("%s", text)
-
-
-class Lines(tqdm):  # type: ignore[type-arg]
-    """A bar of tqdm as lines of the log, written by tqdm's monitoring thread."""
-
-    monitor = None
-    monitor_interval = 1
-    counted_s = 0.0
-    """When the last item was counted, after the start, [s]."""
-
-    def __iter__(self) -> Iterator[Any]:
-        """Yield the items and count each; tqdm's own loop counts only what `miniters` lets it."""
-        with self:
-            for item in self.iterable:
-                yield item
-                self.update()
-
-    def update(self, n: float | None = 1) -> bool | None:
-        """Count `n` more items."""
-        if n:
-            self.counted_s = self.format_dict["elapsed"]
-        return super().update(n)
-
-    def refresh(self, nolock: bool = False, lock_args: Any = None) -> None:
-        """Log a line; the next one comes after `maxinterval`."""
-        self.last_print_t, self.miniters = time.time(), math.inf
-        log.info("%s", self.text())
-
-    def text(self) -> str:
-        """Return count, elapsed time and estimated remaining time.
-
-        Without an item that is counted meanwhile the remaining time shrinks; once it is over, it is
-        not given.
-        """
-        state = self.format_dict
-        n, total, elapsed_s = state["n"], state["total"], state["elapsed"]
-        parts = [f"{n:,} of {total:,}"] if total is not None else [f"{self.unit} {n:,}"] * (n > 0)
-        parts += [_span(elapsed_s)] * (elapsed_s >= 1)
-        if n and total and elapsed_s >= 1:
-            # by the pace at the last item: by the time now, it would grow while one is waited for
-            left_s = self.counted_s * total / n - elapsed_s
-            parts += [f"about {_span(left_s)} left"] * (left_s >= 1)
-        return f"{self.desc}: {', '.join(parts)}" if parts else self.desc
-
-
-def _span(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
 
 
 class LineFormatter(logging.Formatter):

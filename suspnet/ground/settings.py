@@ -1,6 +1,6 @@
 """Settings: type, range, unit and description, declared with the class that uses them; checks.
 
-The comments in configs/, `--help`, the page of all settings and error messages are made from these.
+The comments in configs/, which `--help` shows, are made from these by a script.
 """
 
 from __future__ import annotations
@@ -12,9 +12,6 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from numbers import Integral, Real
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
-
-NUMBERS = {2: "two numbers", 3: "three numbers", 4: "four numbers"}
-"""Name of a list of numbers by its length."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +30,6 @@ class Setting:
     ...
     ...     def __post_init__(self):
     ...         check_settings(self)
-    >>> settings_of(Trip)["rate_hz"].text
-    'Rate of the samples [Hz; above 0]'
     >>> Trip(-1.0)
     Traceback (most recent call last):
     ValueError: `rate_hz` must be a finite number > 0, got -1.0
@@ -69,31 +64,6 @@ class Declared:
         """Values of a choice; empty for any other setting."""
         return get_args(self.type) if get_origin(self.type) is Literal else ()
 
-    @property
-    def text(self) -> str:
-        """Description, followed by unit and range in brackets."""
-        return f"{self.setting.sentence} [{self.rule}]"
-
-    @property
-    def rule(self) -> str:
-        """Unit and range."""
-        if self.setting.rule:
-            return self.setting.rule + "; or null" * (
-                self.is_optional and self.setting.rule != "null"
-            )
-        several = (
-            NUMBERS.get(len(get_args(self.type)), "") if get_origin(self.type) is tuple else ""
-        )
-        kind = "whole number" if self.type is int else several
-        words = [
-            ", ".join(filter(None, [kind, self.setting.unit])),
-            "true or false" * (self.type is bool),
-            " or ".join(filter(None, [", ".join(map(str, self.choices[:-1])), *self.choices[-1:]])),
-            self._bounds(),
-            "or null" * self.is_optional,
-        ]
-        return "; ".join(filter(None, words))
-
     def check(self, name: str, value: Any) -> None:
         """Raise TypeError or ValueError, whose message has `name`, unless a value is valid."""
         setting = self.setting
@@ -120,19 +90,6 @@ class Declared:
                     whole=self.type is int,
                     optional=self.is_optional,
                 )
-
-    def _bounds(self) -> str:
-        setting = self.setting
-        high = setting.most if setting.high is None else setting.high
-        if setting.low is not None and high is not None:
-            return f"{_short(setting.low)} to {_short(high)}"
-        bounds = {
-            "above": setting.above,
-            "at least": setting.low,
-            "below": setting.below,
-            "at most": high,
-        }
-        return " and ".join(f"{k} {_short(v)}" for k, v in bounds.items() if v is not None)
 
 
 def check_settings(values: Any, prefix: str = "") -> None:
@@ -173,14 +130,6 @@ def _declared(name: str, type_: Any, setting: Setting) -> Declared:
     parts = get_args(type_) if get_origin(type_) in (Union, UnionType) else (type_,)
     types = [part for part in parts if part is not NoneType]
     return Declared(name, types[0] if len(types) == 1 else type_, NoneType in parts, setting)
-
-
-def _short(number: float) -> str:
-    """Return a bound as text; round values from 1e4 on as powers of ten."""
-    power = f"{number:.0e}".replace("e+0", "e").replace("e+", "e")
-    if abs(number) >= 1e4 and float(power) == number:
-        return power
-    return f"{number:.15g}"
 
 
 LARGEST = 1e20

@@ -26,8 +26,6 @@ from suspnet.ground.ledger import HAS_LOCKS, lock
 if TYPE_CHECKING:
     import pyarrow as pa
 
-DESCRIPTORS = "/proc/self/fd"
-"""Folder in which Linux lists the open files of a process."""
 UNPRINTABLE = re.compile(
     "[\\x00-\\x08\\x0b-\\x1f\\x7f-\\x9f\\u061c\\u200e\\u200f\\u2028-\\u202e\\u2066-\\u2069\\ud800-\\udfff]"
 )
@@ -45,10 +43,9 @@ class NotPlainError(DamagedFileError):
 def write_atomically(path: Path, content: bytes | str, force: bool = False) -> Path:
     """Write a file that gets its name only when it is complete and on the disk.
 
-    On file systems without unnamed files, a hidden file in the same folder is written and renamed.
-    In a folder of results the file is entered in the ledger first; FileExistsError is raised if a
-    file there was not written by this package, unless `force` replaces it. A failed write leaves no
-    file behind.
+    A hidden file in the same folder is written and renamed. In a folder of results the file is
+    entered in the ledger first; FileExistsError is raised if a file there was not written by this
+    package, unless `force` replaces it. A failed write leaves no file behind.
     """
     data = content.encode() if isinstance(content, str) else content
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -56,36 +53,15 @@ def write_atomically(path: Path, content: bytes | str, force: bool = False) -> P
     temporary = path.parent / ledger.temporary_name(path.name, token)
     ledger.note(path, data, token, force)
     try:
-        handle, is_named = _opened(temporary)
-        with os.fdopen(handle, "wb") as stream:
+        with temporary.open("xb") as stream:
             stream.write(data)
             stream.flush()
             os.fsync(stream.fileno())
-            if not is_named:
-                _give_name(stream.fileno(), temporary)
         os.replace(temporary, path)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
     return path
-
-
-def _opened(temporary: Path) -> tuple[int, bool]:
-    """Return a new file's descriptor, and whether it has the name `temporary` or none."""
-    if hasattr(os, "O_TMPFILE") and os.path.isdir(DESCRIPTORS):
-        try:
-            return os.open(temporary.parent, os.O_TMPFILE | os.O_WRONLY, 0o666), False
-        except OSError:  # no support for unnamed files, or the folder is not writable at all
-            pass
-    return os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666), True
-
-
-def _give_name(handle: int, path: Path) -> None:
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:  # Python follows the link in /proc only if dst_dir_fd is given
-        os.link(f"{DESCRIPTORS}/{handle}", path.name, dst_dir_fd=folder, follow_symlinks=True)
-    finally:
-        os.close(folder)
 
 
 def new_folder(wanted: Path) -> Path:

@@ -80,19 +80,6 @@ def files_of(read_as: str) -> dict[str, int]:
     return numbers
 
 
-class _Short(reprlib.Repr):
-    """Representation of a value on at most about a line."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.maxstring = self.maxother = 60
-
-    def repr1(self, x: Any, level: int) -> str:
-        """Return the shape of an array, and any other value with at most 60 characters a part."""
-        shape = getattr(x, "shape", ())
-        return f"array{tuple(shape)}" if shape else super().repr1(x, level)
-
-
 class ShortRepr:
     """A dataclass with ``repr=False`` that prints shapes of arrays, and no more of long values.
 
@@ -107,9 +94,10 @@ class ShortRepr:
     """
 
     def __repr__(self) -> str:
-        names = [one.name for one in fields(self)]  # type: ignore[arg-type]
-        shown = [f"{name}={_SHORT.repr(getattr(self, name))}" for name in names]
+        shown = [f"{part.name}={_short(getattr(self, part.name))}" for part in fields(self)]  # type: ignore[arg-type]
         return f"{type(self).__name__}({', '.join(shown)})"
 
 
-_SHORT = _Short()
+def _short(value: Any) -> str:
+    shape = getattr(value, "shape", ())
+    return f"array{tuple(shape)}" if shape else reprlib.repr(value)

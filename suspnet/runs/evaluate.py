@@ -14,7 +14,7 @@ from suspnet.ground.storage import write_json
 from suspnet.runs.predict import predict_stream
 from suspnet.runs.scores import (
     Metrics,
-    draw_predictions,
+    draw_run,
     headline,
     log_hyperparameters,
     report,
@@ -76,7 +76,7 @@ def evaluate(
     with RunLog(output, is_new=True) as run_log:
         log_hyperparameters(run_log, metrics, model.training["parameters"])
         if figures:
-            draw_predictions(problem, model.name, outcome, run_log, output / "figures")
+            draw_run(problem, model, outcome, run_log, output / "figures")
     write_json(output / "metrics.json", metrics)
     report(metrics, output)
     return metrics

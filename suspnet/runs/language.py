@@ -9,11 +9,12 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from importlib import resources
-from typing import Any
-
-from jinja2 import Environment
+from typing import TYPE_CHECKING, Any
 
 from suspnet.ground.findings import LIST, OF, TEMPLATES, Filling, Finding, together
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 ENGLISH = "en"
 LANGUAGES = (ENGLISH, "de")

@@ -135,21 +135,6 @@ def peak_fits(
     return figure
 
 
-def feature_spread(
-    inputs: FloatArray, names: Sequence[str], outputs: FloatArray, output_names: Sequence[str]
-) -> Figure:
-    """Draw every feature against every output, on at most 2,000 curves."""
-    rows = slice(0, 2000)
-    figure, axes = grid(len(output_names), len(names), size=(2.2, 2.0), sharex=True, sharey="col")
-    for i, output in enumerate(output_names):
-        for j, name in enumerate(names):
-            axes[i][j].plot(outputs[rows, i], inputs[rows, j], ".", ms=2, alpha=0.4)
-            axes[0][j].set_title(name.replace("_", "\n", 1).replace("_", " "), fontsize=8)
-            axes[i][j].set_xlabel(f"{SYMBOLS[output]} / healthy", fontsize=8)
-        axes[i][0].set_ylabel("feature / healthy")
-    return figure
-
-
 def parity(actual: FloatArray, predicted: FloatArray, names: Sequence[str]) -> Figure:
     """Draw predicted against actual ratios to healthy."""
     figure, axes = grid(1, len(names))
@@ -158,18 +143,6 @@ def parity(actual: FloatArray, predicted: FloatArray, names: Sequence[str]) -> F
         span = [actual[:, j].min(), actual[:, j].max()]
         axis.plot(span, span, color="black", lw=0.8)
         axis.set(title=SYMBOLS[name], xlabel="actual / healthy", ylabel="estimated / healthy")
-    return figure
-
-
-def residuals(actual: FloatArray, predicted: FloatArray, names: Sequence[str]) -> Figure:
-    """Draw relative errors against actual ratios, and their distribution."""
-    figure, axes = grid(2, len(names))
-    for j, name in enumerate(names):
-        error = 100 * (predicted[:, j] / actual[:, j] - 1)
-        axes[0][j].plot(actual[:, j], error, ".", ms=4, alpha=0.4)
-        axes[0][j].set(title=SYMBOLS[name], xlabel="actual / healthy", ylabel="error [%]")
-        axes[1][j].hist(error, bins=80)
-        axes[1][j].set(xlabel="error [%]", ylabel="curves")
     return figure
 
 
@@ -250,9 +223,3 @@ def grid(
         axis.grid(True, which="both", alpha=0.3)
         axis.set_axisbelow(True)
     return figure, [list(row) for row in axes]
-
-
-def legend_above(figure: Figure) -> None:
-    """Add the legend of the first axes above all of them."""
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))

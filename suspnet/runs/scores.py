@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from suspnet.bounds.information import (
     best_possible,
@@ -129,12 +128,7 @@ def _rms_ratio(task: Task, outcome: Outcome, bounds: FloatArray) -> dict[str, fl
     return dict(zip(task.outputs, ratios.tolist(), strict=True))
 
 
-def log_hyperparameters(
-    run_log: RunLog,
-    metrics: Metrics,
-    parameters: Mapping[str, Any],
-    varied: Mapping[str, Any] | None = None,
-) -> None:
+def log_hyperparameters(run_log: RunLog, metrics: Metrics, parameters: Mapping[str, Any]) -> None:
     """Write the hyperparameters and final scores of a run for TensorBoard's HPARAMS tab."""
     finals = {
         f"{metric}_{output}": values[metric]
@@ -146,7 +140,7 @@ def log_hyperparameters(
     finals["seconds"] = metrics["seconds"]
     if "search" in metrics:
         finals["cv_rmse"] = min(metrics["search"]["rmse"])
-    run_log.hyperparameters({**parameters, **metrics}, finals, varied)
+    run_log.hyperparameters({**parameters, **metrics}, finals)
 
 
 def report(metrics: Metrics, folder: Path) -> None:
@@ -185,52 +179,23 @@ def _trust(metrics: Metrics) -> str:
 
 
 def draw_run(
-    problem: Problem,
-    model: FittedMethod,
-    outcome: Outcome,
-    run_log: RunLog,
-    folder: Path,
-    draw_vehicle: bool,
+    problem: Problem, model: FittedMethod, outcome: Outcome, run_log: RunLog, folder: Path
 ) -> None:
-    """Draw features and predictions of a run, and on request its vehicle."""
+    """Draw estimates of a run against truth and, of a model that reads peaks, those of a curve."""
     task = model.task
-    frequencies_hz = problem.observer.frequencies_hz
-    example = problem.curves(outcome.data.ratios[:1], TEST, 0)
-    data = outcome.data
-    figures = {
-        "features": plots.feature_spread(data.inputs, task.inputs, data.outputs, task.outputs)
-    }
-    if draw_vehicle:
-        figures["bode"] = plots.bode(problem.generator, frequencies_hz)
-        figures["degradation"] = plots.degradation(problem.generator, frequencies_hz)
+    title = (
+        f"{problem.vehicle.name}, protocol {task.protocol}, group {task.group}, {model.name}, "
+        f"{problem.settings.snr_db:g} dB, seed {problem.seed}"
+    )
+    figures = {"parity": plots.parity(outcome.data.outputs, outcome.predicted, task.outputs)}
     if task.extractor.kind == "peaks":
+        frequencies_hz = problem.observer.frequencies_hz
+        example = problem.curves(outcome.data.ratios[:1], TEST, 0)
         table = task.extractor.extract(example, frequencies_hz.to(example.device))
         features = dict(zip(task.extractor.names, table.values[0].tolist(), strict=True))
         figures["peaks"] = plots.peak_fits(
             frequencies_hz.numpy(), example[0].abs().cpu().numpy(), features
         )
-    _write_figures(figures, _title(problem, model.name), run_log, folder)
-    draw_predictions(problem, model.name, outcome, run_log, folder)
-
-
-def draw_predictions(
-    problem: Problem, name: str, outcome: Outcome, run_log: RunLog, folder: Path
-) -> None:
-    """Draw estimates against truth, and residuals."""
-    arrays = outcome.data.outputs, outcome.predicted, problem.task.outputs
-    figures = {"parity": plots.parity(*arrays), "residuals": plots.residuals(*arrays)}
-    _write_figures(figures, _title(problem, name), run_log, folder)
-
-
-def _write_figures(
-    figures: Mapping[str, Figure], title: str, run_log: RunLog, folder: Path
-) -> None:
-    for name, figure in figures.items():
+    for key, figure in figures.items():
         figure.suptitle(title, fontsize="small")
-        run_log.figure(name, figure, folder)
-
-
-def _title(problem: Problem, name: str) -> str:
-    task = problem.task
-    noise = f"{problem.settings.snr_db:g} dB, seed {problem.seed}"
-    return f"{problem.vehicle.name}, protocol {task.protocol}, group {task.group}, {name}, {noise}"
+        run_log.figure(key, figure, folder)

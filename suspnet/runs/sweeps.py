@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import logging
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from shlex import quote
@@ -14,26 +14,24 @@ import yaml
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 from tabulate import tabulate
+from torch.utils.tensorboard import SummaryWriter
 
 from suspnet.ground.core_yaml import read_yaml
 from suspnet.ground.ledger import HYDRA
 from suspnet.ground.storage import read_json, write_atomically, write_json
 from suspnet.runs import plots
-from suspnet.runs.fair import write_fair
-from suspnet.runs.readings import write_readings
 from suspnet.runs.tables import (
     markdown,
     records_csv,
-    sensitivity_markdown,
-    sensitivity_records,
     table6_caption,
     table6_markdown,
     table6_records,
     write_study,
 )
-from suspnet.runs.trials import TRIALS, least_rmse, write_trials
 
 log = logging.getLogger(__name__)
+TRIALS = "trials"
+"""Folder of a multirun with a run of TensorBoard for each trial of its searches."""
 Run = Mapping[str, Any]
 
 
@@ -193,16 +191,32 @@ def _write_table5(runs: Sequence[Run], folder: Path, note: str) -> None:
     write_json(folder / "table5.json", [_search_record(run) for run in searched])
     table = _table5_markdown(searched, n_jobs=len(list(folder.glob("*/config.yaml"))))
     write_atomically(folder / "table5.md", f"{table}\n")
-    write_trials(runs, folder / TRIALS)
+    _write_trials(searched, folder / TRIALS)
     log.info(
         "best hyperparameters (least cross-validated RMSE):\n\n%s\n\n%s-> %s\n"
-        "use them with: %s\nsee every trial with: tensorboard --logdir %s",
+        "use them with: %s\nsee every trial of a method with: tensorboard --logdir %s/METHOD",
         table,
         content,
         path,
         use,
         quote(str(folder / TRIALS)),
     )
+
+
+def _write_trials(searched: Sequence[Run], folder: Path) -> None:
+    """Write each trial as a row of TensorBoard's HPARAMS tab, in the folder of its method."""
+    for k, run in enumerate(searched):
+        search = run["search"]
+        with SummaryWriter(str(folder / run["model"])) as writer:
+            for i, (setting, rmse) in enumerate(
+                zip(search["settings"], search["rmse"], strict=True)
+            ):
+                # null, in a file, stands for a trial that failed
+                if isinstance(rmse, float) and math.isfinite(rmse):
+                    numbers = {key: v for key, v in setting.items() if isinstance(v, int | float)}
+                    finals = {"cv_rmse": rmse, "best": float(setting == search["best"])}
+                    row = {"group": run["group"], **numbers}
+                    writer.add_hparams(row, finals, run_name=f"{run['group']}_{k}/{i}")
 
 
 def _table5_markdown(searched: Sequence[Run], n_jobs: int) -> str:
@@ -230,43 +244,16 @@ def _search_record(run: Run) -> dict[str, Any]:
     keys = ("protocol", "group", "model", "n_train", "snr_db", "seed")
     return {key: run[key] for key in keys} | {
         "best": search["best"],
-        "cv_rmse": least_rmse(search),
+        "cv_rmse": min(rmse for rmse in search["rmse"] if rmse is not None),
         "n_settings": len(search["rmse"]),
         "search_seconds": run.get("training", {}).get("search_seconds"),
         "edges": list(search["edges"].values()),
     }
 
 
-def _write_sensitivity(runs: Sequence[Run], folder: Path, note: str) -> None:
-    """Write MAPE against sensor precision (Fig. 11)."""
-    records = sensitivity_records(runs)
-    table = sensitivity_markdown(records)
-    figures = {"sensitivity": plots.sensitivity(runs)}
-    title = "MAPE against sensor precision"
-    write_study(folder, "sensitivity", title, f"{table}\n", records, records, figures)
-
-
-def _write_by_output(runs: Sequence[Run], folder: Path, note: str) -> None:
-    """Write the MAPE of every output, a row for each setting that varies but the group."""
-    files = sorted(folder.glob("*/metrics.json"))
-    scores = {path.parent.name: read_json(path)["scores"] for path in files}
-    rows: dict[str, dict[str, Any]] = {}
-    for swept in with_swept(folder, [{"job": job} for job in scores]):
-        settings = {key: swept[key] for key in swept if key not in ("job", "group")}
-        row = rows.setdefault(json.dumps(settings), settings)
-        row |= {output: values["mape_percent"] for output, values in scores[swept["job"]].items()}
-    records = list(rows.values())
-    table = tabulate(records, "keys", "github", floatfmt=".3g", missingval="-")
-    write_study(folder, "by_output", "MAPE in %", f"{table}\n", records, records)
-
-
 SUMMARIES: Mapping[str, Callable[[Sequence[Run], Path, str], Any]] = {
     "comparison": _write_comparison,
     "table6": write_table6,
     "table5": _write_table5,
-    "sensitivity": _write_sensitivity,
-    "by_output": _write_by_output,
-    "readings": lambda runs, folder, _: write_readings(runs, folder),
-    "fair": lambda runs, folder, _: write_fair(runs, folder),
 }
 """What a multirun may be summarised by, from metrics.json of its runs, its folder and a note."""

@@ -42,6 +42,8 @@ PUBLISHED = {
     ("c_s", "rmse"): {"msvr": 0.0739, "svr": 0.0972, "mvgpr": 0.1632, "linear": 0.2073},
 }
 """The figures of the paper's Table VI, for comparison only."""
+PAPER_METHODS = ("msvr", "svr", "mvgpr", "linear")
+"""Methods of Table VI, in its order, which is that of their errors."""
 
 Record = dict[str, Any]
 Row = TypeVar("Row", bound=Mapping[str, Any])
@@ -102,44 +104,9 @@ def table6_caption(records: Sequence[Mapping[str, Any]]) -> str:
     )
 
 
-def sensitivity_records(runs: Sequence[Mapping[str, Any]]) -> list[Record]:
-    """Return one record for each output of each run: MAPE, and its bound, against the noise."""
-    records = [
-        {
-            "protocol": run["protocol"],
-            "model": run["model"],
-            "output": output,
-            "snr_db": run["snr_db"],
-            "precision_percent": precision_percent(run["snr_db"]),
-            "mape_percent": scores["mape_percent"],
-            "bound": run["bound"][output]["mape_percent"],
-            **{key: run[key] for key in ("n_train", "seed")},
-        }
-        for run in runs
-        for output, scores in run["scores"].items()
-    ]
-    return in_order(records, "model", "output", "snr_db")
-
-
 def precision_percent(snr_db: float) -> float:
     """Return the precision of a sensor, the noise's rms relative to the signal's, [%]."""
     return 100 * float(10 ** (-snr_db / 20))
-
-
-def sensitivity_markdown(records: Sequence[Record]) -> str:
-    """Return MAPE [%] and its bound for each model, noise and output, as Markdown."""
-    outputs = list(dict.fromkeys(r["output"] for r in records))
-    rows = []
-    for (model, snr_db), same in grouped(records, "model", "snr_db").items():
-        row = [MODEL_TITLES[model], f"{snr_db:g}", f"{same[0]['precision_percent']:.2g}"]
-        by_output = grouped(same, "output")
-        for output in outputs:
-            chosen = by_output.get((output,), [])
-            row += [mean_in_digits(chosen, key) for key in ("mape_percent", "bound")]
-        rows.append(row)
-    header = ["model", "SNR dB", "precision %"]
-    header += [title for output in outputs for title in (f"{output} MAPE %", "bound")]
-    return markdown(rows, header)
 
 
 def grouped(records: Iterable[Row], *keys: str) -> dict[tuple[Any, ...], list[Row]]:
@@ -201,13 +168,6 @@ def mean_in_digits(records: Iterable[Record], key: str) -> str:
     """Return the mean of the values of a key that are not None, as ``in_digits`` does."""
     values = [record[key] for record in records if record[key] is not None]
     return in_digits(fmean(values) if values else None)
-
-
-def with_deviation(mean: float | None, deviation: float | None) -> str:
-    """Return a mean and its standard deviation as text; a dash for no mean."""
-    if mean is None:
-        return "-"
-    return f"{mean:.3g}" if deviation is None else f"{mean:.3g} ± {deviation:.2g}"
 
 
 def in_digits(value: float | None) -> str:

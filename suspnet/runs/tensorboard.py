@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self
 
@@ -38,6 +38,7 @@ HYPERPARAMETERS: dict[str, Any] = {
     "vehicle": "",
 }
 """Columns of the HPARAMS tab, each with a value of its type."""
+SHOWN_FIRST = ("model", "group", "C", "sigma", "epsilon")
 METRIC_COLUMNS = (
     *(f"{metric}_{output}" for output in PARAMETERS for metric in METRICS),
     *(f"rms_ratio_{output}" for output in PARAMETERS),
@@ -45,10 +46,9 @@ METRIC_COLUMNS = (
     "seconds",
 )
 SECTIONS = {
-    "comparison": ("table6", "sensitivity", "tube"),
-    "estimates": ("parity", "residuals"),
-    "training": ("features", "peaks", "convergence", "search"),
-    "vehicle": ("bode", "degradation"),
+    "comparison": ("table6", "tube"),
+    "estimates": ("parity",),
+    "training": ("peaks",),
 }
 """Figures by the section they are shown in; TensorBoard shows sections in alphabetical order."""
 
@@ -100,45 +100,24 @@ class RunLog:
             Image.fromarray(np.ascontiguousarray(pixels)).save(stream, "PNG")
             write_atomically(folder / f"{name}.png", stream.getvalue())
 
-    def hyperparameters(
-        self,
-        values: Mapping[str, Any],
-        metrics: Mapping[str, float],
-        varied: Mapping[str, Any] | None = None,
-        *,
-        columns: Mapping[str, Any] = HYPERPARAMETERS,
-        metric_columns: Sequence[str] = METRIC_COLUMNS,
-        first: Sequence[str] = ("model",),
-    ) -> None:
-        """Write hyperparameters and final metrics for the HPARAMS tab, in the given columns.
+    def hyperparameters(self, values: Mapping[str, Any], metrics: Mapping[str, float]) -> None:
+        """Write hyperparameters and final metrics for the HPARAMS tab.
 
         `SummaryWriter.add_hparams` would create a folder of its own below the run's; these
         summaries go into the run's own file, so that a run is one row of the table and one line of
         the parallel coordinates. TensorBoard takes the columns from whichever run it meets first,
         so every run of a multirun declares the same columns and fills in those it has. TensorBoard
-        shows the columns declared to differ first, in alphabetical order: here those of `first` and
-        the parameters that the multirun varies, `varied`.
+        shows the columns declared to differ first, in alphabetical order.
         """
-        varied = {_column(key): _plain(value) for key, value in (varied or {}).items()}
-        finals = {f"final/{name}": 0.0 for name in metric_columns}
-        # columns are the same for all runs; TensorBoard shows those that "differ" first
-        experiment, _, end = hparams({**columns, **varied}, finals)
+        finals = {f"final/{name}": 0.0 for name in METRIC_COLUMNS}
+        experiment, _, end = hparams(HYPERPARAMETERS, finals)
         content = experiment.value[0].metadata.plugin_data
         declared = HParamsPluginData.FromString(content.content)
         for info in declared.experiment.hparam_infos:
-            info.differs = info.name in {*first, *varied}
+            info.differs = info.name in SHOWN_FIRST
         content.content = declared.SerializeToString()
-        own = {k: v for k, v in values.items() if k in columns and v is not None}
-        _, start, _ = hparams(own | varied, finals)
+        own = {k: v for k, v in values.items() if k in HYPERPARAMETERS and v is not None}
+        _, start, _ = hparams(own, finals)
         for summary in (experiment, start, end):
             self._writer._get_file_writer().add_summary(summary)
         self.scalars("final", metrics, 0)
-
-
-def _column(key: str) -> str:
-    last = key.rpartition(".")[2]
-    return last if last in HYPERPARAMETERS else key
-
-
-def _plain(value: Any) -> Any:
-    return value if isinstance(value, bool | int | float | str) else str(value)

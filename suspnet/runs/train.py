@@ -60,15 +60,12 @@ class RunContext:
     """What the calling program adds to the records and figures of a run.
 
     `config` is the resolved configuration; its `reading_name` and `search_name` go into
-    metrics.json. `varied` is what a multirun varies, by configuration key: TensorBoard's first
-    columns. `draw_vehicle`: once is enough in a multirun. `notes` are further entries of the
+    metrics.json. `notes` are further entries of the
     model's `training`, such as the healthy trips as "commissioned"; `residual` is the unexplained
     part of a commissioned vehicle's healthy trips.
     """
 
     config: Mapping[str, Any] = field(default_factory=dict)
-    varied: Mapping[str, Any] | None = None
-    draw_vehicle: bool = True
     notes: Mapping[str, Any] = field(default_factory=dict)
     residual: Residual | None = None
 
@@ -149,10 +146,9 @@ def train(
         accuracy = {"test_rms_percent": metrics["rms_percent"]}
         stage("figures and tables of the run")
         write_model(folder, replace(model, training=model.training | accuracy))
-        log_hyperparameters(run_log, metrics, model.training["parameters"], context.varied)
+        log_hyperparameters(run_log, metrics, model.training["parameters"])
         if figures:
-            parts = folder / "figures", context.draw_vehicle
-            draw_run(problem, model, outcome, run_log, *parts)
+            draw_run(problem, model, outcome, run_log, folder / "figures")
     write_json(folder / "environment.json", environment())
     write_json(folder / "metrics.json", metrics)  # last: it marks the run as finished
     report(metrics, folder)

@@ -28,6 +28,7 @@ def run(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_one_run_has_models_for_both_directions(run):
     rows = json.loads((run / "speeds.json").read_text())
     names = ["64.4_to_75.6_m_per_s", "64.4_to_75.6_m_per_s_reverse"]
@@ -37,6 +38,7 @@ def test_one_run_has_models_for_both_directions(run):
         assert f'"direction": "{direction}"' in json.dumps(content)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("blank")
 def test_trips_of_both_directions_are_read(run, trips, tmp_path):
     directions = [read_manifest(path).direction for path in sorted(trips.glob("*.yaml"))]

@@ -53,7 +53,6 @@ def test_help_imports_nothing_that_takes_time():
     [
         (["trian"], "no program 'trian': did you mean train? suspnet --help"),
         (["xyzzy"], "no program 'xyzzy': suspnet --help lists them"),
-        (["completion", "bash"], "no completion any more: take its line out of ~/.bashrc"),
     ],
 )
 def test_mistake_is_one_line(monkeypatch, words, text):

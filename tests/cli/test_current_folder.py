@@ -58,8 +58,7 @@ def ran(arguments, cwd):
     return done.stdout
 
 
-@pytest.mark.representatives(2)
-@pytest.mark.every_value
+@pytest.mark.representatives(1)
 @pytest.mark.parametrize("start", ["script", "module"])
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_no_process_of_a_program_imports_from_the_current_folder(program, start, tmp_path):

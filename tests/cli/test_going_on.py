@@ -61,34 +61,6 @@ def test_folder_is_reserved_unless_the_command_line_names_it(tmp_path, kind, mon
     assert ours == {ledger.LEDGER} | ({"multirun.yaml"} if kind == "sweep" else set())
 
 
-def test_a_refused_run_leaves_no_folder(tmp_path):
-    own = tmp_path / "mine"
-    for words in (
-        ["data.n_train=-5"],
-        ["group=tertiary"],
-        ["data.n_train=-5", f"hydra.run.dir={own}"],
-    ):
-        assert typed(train, *words, *LINEAR[:1], cwd=tmp_path).returncode == 1
-    assert not [path for path in (tmp_path / "outputs").rglob("*") if path.name != "train"]
-    assert (own / "train.log").exists()  # a folder that was named is kept, with its log
-
-
-def test_a_folder_with_anything_else_in_it_is_kept(tmp_path, monkeypatch):
-    run = tmp_path / "run"
-    monkeypatch.setattr(folders, "made_folders", [run])
-    (run / ".hydra" / "mine").mkdir(parents=True)
-    (run / ".hydra" / "config.yaml").touch()
-    (run / "train.log").touch()
-    kept = run / ".hydra" / "mine" / "notes.txt"
-    kept.touch()
-    folders.remove_unused(run)
-    assert kept.exists()
-    assert (run / "train.log").exists()
-    kept.unlink()
-    folders.remove_unused(run)
-    assert not run.exists()
-
-
 # multiruns
 
 

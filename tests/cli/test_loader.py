@@ -2,6 +2,7 @@
 
 import os
 import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,9 +10,10 @@ import yaml
 from cli_runner import SMALL, command, typed
 
 from suspnet.cli import evaluate, monitor, replay, serve, simulate, train
-from suspnet.cli.config_files import CONFIGS, read_comments
+from suspnet.cli.config_files import CONFIGS
 from suspnet.cli.loader import ALLOWED
 
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 GLOBAL = "# @package _global_\n"
 SECRET = "a password"
 GADGET = "{_target_: suspnet.cli.config_files.Path.touch, _args_: [MARKER]}"
@@ -229,10 +231,11 @@ def test_host_of_a_broker_may_be_in_the_environment(tmp_path):
 
 
 def test_no_key_of_a_path_may_be_set_but_that_of_authorities():
+    comments = pytest.importorskip("config_comments", reason="needs benchmarks")
     paths, data = set(), set()
     for file in Path(CONFIGS).rglob("*.yaml"):
         group = "" if file.parent == Path(CONFIGS) else f"{file.parent.name}."
-        for keys, sentence in read_comments(file).above.items():
+        for keys, sentence in comments.read_comments(file).above.items():
             key = group + ".".join(keys)
             if group == "data.":
                 data.add(key)

@@ -14,6 +14,7 @@ from suspnet.cli import evaluate, program, train
 from suspnet.curves.problem import Problem
 from suspnet.estimation.estimate import KINDS
 from suspnet.runs.dataset import read_dataset
+from suspnet.runs.tensorboard import SHOWN_FIRST
 
 pytestmark = pytest.mark.usefixtures("blank")
 """Figures are made by the fixture `run` only; tests/runs/test_plots.py draws them."""
@@ -41,7 +42,7 @@ def test_run_folder_holds_everything(run):
         "model.safetensors",
     } <= names
     figures = {path.stem for path in (folder / "figures").iterdir()}
-    assert {"bode", "degradation", "features", "parity", "peaks", "residuals"} <= figures
+    assert {"parity", "peaks"} <= figures
     assert metrics["training"]["fitted"]["converged"] is True
     for output in ("k_p", "c_p"):
         assert metrics["bound"][output]["mape_percent"] < metrics["scores"][output]["mape_percent"]
@@ -103,7 +104,7 @@ def test_tensorboard_holds_figures_and_hyperparameters(run):
     folder, metrics = run
     events = EventAccumulator(str(folder)).Reload()
     tags = events.Tags()
-    assert {"vehicle/bode", "training/features", "estimates/parity"} <= set(tags["images"])
+    assert {"training/peaks", "estimates/parity"} <= set(tags["images"])
     assert "config/text_summary" in tags["tensors"]
     plugin = events.summary_metadata["_hparams_/session_start_info"].plugin_data
     assert plugin.plugin_name == "hparams"
@@ -232,7 +233,7 @@ def table6(tmp_path_factory):
     return sweep, ended.stdout
 
 
-def test_tensorboard_shows_the_comparison_first_and_the_vehicle_once(table6):
+def test_tensorboard_shows_the_comparison_first(table6):
     folder, _ = table6
     events = {
         path.parent: EventAccumulator(str(path.parent)).Reload()
@@ -241,17 +242,16 @@ def test_tensorboard_shows_the_comparison_first_and_the_vehicle_once(table6):
     images = {path: found.Tags()["images"] for path, found in events.items()}
     assert min(image for found in images.values() for image in found) == "comparison/table6"
     assert images.pop(folder) == ["comparison/table6"]
-    assert [path.name[:2] for path, found in images.items() if "vehicle/bode" in found] == ["0_"]
     assert all("estimates/parity" in found for found in images.values())
 
 
-def test_tensorboard_shows_what_a_multirun_varies_before_other_hyperparameters(table6):
+def test_tensorboard_shows_the_method_before_other_hyperparameters(table6):
     folder, _ = table6
     for run in folder.glob("[0-9]_*"):
         summaries = EventAccumulator(str(run)).Reload().summary_metadata
         content = summaries["_hparams_/experiment"].plugin_data.content
         columns = HParamsPluginData.FromString(content).experiment.hparam_infos
-        assert {column.name for column in columns if column.differs} == {"model", "group"}
+        assert {column.name for column in columns if column.differs} == {*SHOWN_FIRST}
         content = summaries["_hparams_/session_start_info"].plugin_data.content
         values = HParamsPluginData.FromString(content).session_start_info.hparams
         group, model = run.name.split("_")[-2:]

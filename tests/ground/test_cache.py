@@ -98,7 +98,7 @@ def test_folder_that_cannot_be_written_costs_one_warning(tmp_path, monkeypatch, 
         raise OSError(number, "no way")
 
     kept = Cache(tmp_path / "cache", "features")
-    monkeypatch.setattr(storage.os, "open", fail)
+    monkeypatch.setattr(storage.os, "fsync", fail)
     for seed in range(3):
         kept.write(MADE_FROM | {"seed": seed}, ARRAYS)
     assert len(caplog.messages) == 1

@@ -169,7 +169,10 @@ PARENTS = {
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux's /proc")
 @pytest.mark.parametrize(
     "kind",
-    ["forked", "joblib", *(pytest.param(one, marks=pytest.mark.slow) for one in ("each", "idle"))],
+    [
+        "forked",
+        *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("each", "joblib", "idle")),
+    ],
 )
 def test_no_worker_outlives_a_parent_that_is_killed(tmp_path, kind):
     code = (

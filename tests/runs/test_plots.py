@@ -106,16 +106,6 @@ def test_peak_fits_mark_each_peak_on_its_own_curve(quarter_car):
     assert width.get_ydata()[0] == pytest.approx(features["secondary_height"] / math.sqrt(2))
 
 
-def test_feature_spread_has_a_row_an_output_and_a_column_a_feature(predictions):
-    actual, _ = predictions
-    inputs = np.repeat(actual[:, :1], 3, axis=1) ** np.arange(1, 4)
-    names = PeakFeatures().names[:3]
-    figure = plots.feature_spread(inputs, names, actual, NAMES)
-    assert_drawn(figure, 6)
-    np.testing.assert_array_equal(figure.axes[5].lines[0].get_xdata(), actual[:, 1])
-    np.testing.assert_array_equal(figure.axes[5].lines[0].get_ydata(), inputs[:, 2])
-
-
 def test_parity_shows_predictions_against_actual_values(predictions):
     actual, predicted = predictions
     figure = plots.parity(actual, predicted, NAMES)
@@ -123,16 +113,6 @@ def test_parity_shows_predictions_against_actual_values(predictions):
     np.testing.assert_array_equal(
         figure.axes[1].lines[0].get_xydata(), np.column_stack([actual[:, 1], predicted[:, 1]])
     )
-
-
-def test_residuals_show_relative_errors_and_count_every_curve(predictions):
-    actual, predicted = predictions
-    figure = plots.residuals(actual, predicted, NAMES)
-    assert_drawn(figure, 4)
-    found = figure.axes[0].lines[0].get_ydata()
-    expected = 100 * (predicted[:, 0] - actual[:, 0]) / actual[:, 0]
-    np.testing.assert_allclose(found, expected, atol=1e-9)
-    assert sum(bar.get_height() for bar in figure.axes[2].patches) == 200
 
 
 def test_table6_has_an_axis_an_output_and_bars_for_each_model():

@@ -61,9 +61,11 @@ def assert_same(first, second):
 @pytest.mark.parametrize(
     ("name", "refined"),
     [
-        ("msvr", False),
         ("linear", True),
-        pytest.param("mvgpr", True, marks=pytest.mark.slow),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in (("msvr", False), ("mvgpr", True))
+        ),
     ],
 )
 def test_intervals_hold_the_truth_as_often_as_asked_for(name, refined):
@@ -96,7 +98,11 @@ def test_scores_are_residuals_of_calibration_curves_over_their_residual_scale():
         assert np.isclose(every, score, rtol=1e-9).all(axis=1).sum() == 1
 
 
-@pytest.mark.parametrize("changes", [{}, {"mass_known": True}], ids=["unknown", "mass_known"])
+@pytest.mark.parametrize(
+    "changes",
+    [{}, pytest.param({"mass_known": True}, marks=pytest.mark.slow)],
+    ids=["unknown", "mass_known"],
+)
 def test_refined_estimates_reach_the_bound(changes):
     problem, _, outcome = outcome_of("linear", refined=True, **changes)
     bounds = output_bounds(problem.task, problem.observer, outcome.data.ratios)
@@ -140,7 +146,8 @@ def test_curve_fit_and_refinement_end_in_the_same_optimum():
 # property
 
 
-@pytest.mark.parametrize("refined", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("refined", [False, True])
 def test_same_seed_gives_the_same_numbers_whatever_the_threads(refined):
     *_, first = outcome_of("linear", refined)
     problem = problem_of(threads=2)  # the first one has 1
@@ -148,7 +155,9 @@ def test_same_seed_gives_the_same_numbers_whatever_the_threads(refined):
     assert_same(first, predict_stream(problem, model, TEST, flags=True))
 
 
-@pytest.mark.parametrize(("name", "refined"), [("msvr", False), ("linear", True)])
+@pytest.mark.parametrize(
+    ("name", "refined"), [pytest.param("msvr", False, marks=pytest.mark.slow), ("linear", True)]
+)
 def test_saved_model_gives_the_same_intervals_and_flags(name, refined, tmp_path):
     problem, model, outcome = outcome_of(name, refined)
     save_model(tmp_path, model)

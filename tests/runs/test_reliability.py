@@ -18,6 +18,7 @@ from tests.vehicles import AM96
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 reliability = pytest.importorskip("reliability", reason="needs benchmarks")
 
+pytestmark = pytest.mark.slow
 SETTINGS = CurveSettings(n_train=500, n_test=200, n_calibrate=600, step_hz=0.08)
 ICE3 = Vehicle("ice3", 1750.0, 10000.0, 1.2e6, 10e3, 0.35e6, 20e3)
 

@@ -6,14 +6,11 @@ import math
 
 import pytest
 
-from suspnet.learning import METHODS
 from suspnet.runs.tables import (
-    MODEL_TITLES,
     PUBLISHED,
+    precision_percent,
     records_csv,
     scores_table,
-    sensitivity_records,
-    table6_caption,
     table6_markdown,
     table6_records,
 )
@@ -171,24 +168,9 @@ def test_csv_holds_every_record(records):
     assert [float(row["measured"]) for row in found] == [r["measured"] for r in records]
 
 
-def test_caption_adds_the_seconds_of_each_model(records):
-    caption = table6_caption(records)
-    assert "protocol multi_location, 20000 training curves, 34 dB, seed 3" in caption
-    assert "MSVR 5.0 s, MV-LR 0.8 s" in caption
-
-
-def test_sensitivity_records_give_the_precision_of_the_sensor():
-    records = sensitivity_records(
-        [run("msvr", ("c_p", "k_p"), snr_db=snr) for snr in (54.0, 34.0, 26.0)]
-    )
-    assert [(r["output"], r["snr_db"]) for r in records] == [
-        (output, snr) for output in ("k_p", "c_p") for snr in (26.0, 34.0, 54.0)
-    ]
-    # section III-E: 34 dB is a precision of 2 %
-    precision = [r["precision_percent"] for r in records[:3]]
+def test_noise_of_34_db_is_a_precision_of_2_percent():  # section III-E
+    precision = [precision_percent(snr_db) for snr_db in (26.0, 34.0, 54.0)]
     assert precision == pytest.approx([5.01, 2.0, 0.2], rel=4e-3)
-    assert [r["mape_percent"] for r in records] == [2.5] * 3 + [1.5] * 3
-    assert [r["bound"] for r in records] == [1.125] * 3 + [0.125] * 3
 
 
 SCORES = ["output", "MAPE %", "bound", "RMSE", "bound", "Cramer-Rao sd %", "rms / bound"]
@@ -218,14 +200,3 @@ def test_scores_table_of_a_calibrated_model_has_its_intervals():
     assert header == [*SCORES, "90 % interval +- %", "covers %"]
     assert [row[:7] for row in rows] == cells(scores_table(scored()))[1:]
     assert [row[7:] for row in rows] == [["0.314", "90.25"], ["12.34", "100"]]
-
-
-def test_every_method_has_a_title_refined_or_not():
-    assert MODEL_TITLES["msvr+refine"] == "MSVR refined"
-    assert {name.removesuffix("+refine") for name in MODEL_TITLES} == set(METHODS)
-    assert len(set(MODEL_TITLES.values())) == len(MODEL_TITLES) == 2 * len(METHODS)
-    text = table6_markdown(
-        table6_records([run("linear", ("k_p",)), run("linear+refine", ("k_p",))])
-    )
-    assert "MV-LR ours" in text
-    assert "MV-LR refined ours" in text

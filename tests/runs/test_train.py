@@ -56,8 +56,8 @@ def cases():
                 again = name != "trips"
             elif model == "msvr_table5":  # msvr, with other numbers
                 again = (name, group) != ("paper", "I")
-            else:  # msvr reads trips in tests/trips
-                again = name != "joint"
+            else:  # msvr reads trips in tests/trips, and tests/learning has the other methods
+                again = name != "joint" or model != "msvr"
             yield pytest.param(model, name, group, marks=[pytest.mark.slow] * again)
 
 

@@ -1,21 +1,34 @@
-"""Readings of what the paper leaves open, by the distance of their results to its Table VI."""
+"""Readings of what the paper leaves open, by the distance of their results to its Table VI.
+
+python train.py experiment=readings
+python benchmarks/readings.py outputs/readings/RUN
+
+Writes readings.csv, .json, .md and .png into the folder of the multirun.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+from cells import Parser
 from matplotlib.figure import Figure
 
+from suspnet.ground.storage import read_json
 from suspnet.runs.figures import SYMBOLS
-from suspnet.runs.plots import legend_above
-from suspnet.runs.tables import MODEL_TITLES, PUBLISHED, Record, in_digits, markdown, write_study
+from suspnet.runs.tables import (
+    MODEL_TITLES,
+    PUBLISHED,
+    Record,
+    in_digits,
+    markdown,
+    write_study,
+)
+from suspnet.runs.tables import PAPER_METHODS as METHODS
 
-METHODS = ("msvr", "svr", "mvgpr", "linear")
-"""Methods of Table VI, in its order, which is that of their errors."""
 OUTPUTS = ("k_p", "c_p", "k_s", "c_s")
 TEST_SETS = {
     "all": "all test curves",
@@ -162,3 +175,25 @@ def figure(records: Sequence[Record]) -> Figure:
     legend_above(drawn)
     drawn.supxlabel("MAPE, %; dashed: the paper's Table VI")
     return drawn
+
+
+def legend_above(figure: Figure) -> None:
+    """Add the legend of the first axes above all of them."""
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+
+
+def summarise(write: Callable[[Sequence[Mapping[str, Any]], Path], Any], words: str) -> None:
+    """Summarise the runs of the multirun that the command line names."""
+    parser = Parser(description=words)
+    parser.add_argument("folder", type=Path, help="folder of the multirun")
+    folder = parser.parse_args().folder
+    runs = [read_json(path) for path in sorted(folder.glob("*/metrics.json"))]
+    if not runs:
+        parser.error(f"{folder} holds no */metrics.json; is it the folder of a multirun?")
+    write(runs, folder)
+    print((folder / f"{words}.md").read_text())
+
+
+if __name__ == "__main__":
+    summarise(write_readings, "readings")

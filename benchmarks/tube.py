@@ -1,36 +1,41 @@
 """The study of the tube: where epsilon, and one tube for all outputs, lower the error of MSVR.
 
+python benchmarks/tube.py [--workers 16]    # 10 minutes
+python benchmarks/tube.py --protocol multi_location --n-outputs 2 --no-sines
+
 At epsilon = 0 MSVR is kernel ridge regression. A tube can help where the labels, the stiffness and
-damping of the training curves, are wrong by bounded amounts. The study gives them
-errors of several kinds, tunes on these labels as a user would, and scores against the truth.
+damping of the training curves, are wrong by bounded amounts. The study gives them errors of several
+kinds, all with the rms error of uniform ones within a tolerance, tunes on these labels as a user
+would, and scores against the truth. The inputs are the features of the protocol's first group.
 """
 
 from __future__ import annotations
 
+from argparse import ArgumentTypeError, Namespace
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean, stdev
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
+from cells import Parser, at_least
 from matplotlib.figure import Figure
 from sklearn.multioutput import MultiOutputRegressor
+from tqdm import tqdm
 
-from suspnet.curves.estimates import Observation
+from suspnet import CurveSettings, QuarterCar, read_protocol, read_vehicles
 from suspnet.curves.problem import TEST, TRAIN, Problem
-from suspnet.curves.protocols import Protocol
 from suspnet.ground.parameters import PARAMETERS
-from suspnet.ground.progress import bar as progress_bar
-from suspnet.ground.settings import Setting, check_choice, check_number, check_settings, setting
 from suspnet.ground.types import FloatArray
 from suspnet.ground.workers import LostWorkerError, each
 from suspnet.learning import MSVR, Scaling
 from suspnet.learning.search import GridSearch
 from suspnet.runs.plots import grid
 from suspnet.runs.tables import Record, grouped, markdown, write_study
-from suspnet.vehicle import ResponseGenerator
 
+STUDIED = ("exact", "uniform_5", "uniform_10", "ball_10", "sphere_10", "steps_10", "normal_10")
+"""Errors of the labels that are studied unless others are named: kind and tolerance in percent."""
 LABELS = {
     "exact": "none",
     "uniform": "uniform within ±{:g} %",
@@ -64,45 +69,6 @@ CAPTION = (
 
 
 @dataclass(frozen=True)
-class TubeStudy:
-    """What the study compares: errors of the labels, numbers of curves and of outputs, seeds."""
-
-    labels: Annotated[
-        Sequence[str],
-        Setting(
-            "Errors of the labels: exact, or uniform, ball, sphere, steps or normal with _PERCENT; "
-            "in each output all have the rms error of uniform ones within that tolerance",
-            rule="list of names",
-        ),
-    ] = ("exact", "uniform_5", "uniform_10", "ball_10", "sphere_10", "steps_10", "normal_10")
-    n_train: Annotated[
-        Sequence[int], Setting("Numbers of training curves", rule="whole numbers")
-    ] = (60, 200, 1000, 5000)
-    n_outputs: Annotated[
-        Sequence[int],
-        Setting(
-            "Numbers of outputs, from k_p, c_p, k_s, c_s in this order; above 400 curves only the "
-            "first one",
-            rule="2, 3 or 4",
-        ),
-    ] = (2, 4)
-    sines: bool = setting(True, "Whether to study a smooth function of two exact inputs too")
-    n_seeds: int = setting(5, "Number of seeds, from `seed` on", low=2)
-
-    def __post_init__(self) -> None:
-        check_settings(self)
-        for label in self.labels:
-            kind, _, percent = label.partition("_")
-            check_choice("labels", kind, tuple(LABELS))
-            if kind != "exact":
-                check_number(f"labels: {label}", float(percent or 0), above=0, below=50)
-        for n_train in self.n_train:
-            check_number("n_train", n_train, low=10, whole=True)
-        for n_outputs in self.n_outputs:
-            check_number("n_outputs", n_outputs, low=2, most=4, whole=True)
-
-
-@dataclass(frozen=True)
 class _Cell:
     """Inputs and true outputs of one problem, for training and test, and how to spoil the labels.
 
@@ -127,47 +93,38 @@ class _Trial:
     percent: float = float("inf")
 
 
-def write_tube(
-    study: TubeStudy,
-    generator: ResponseGenerator,
-    protocol: Protocol,
-    settings: Observation,
-    folder: Path,
-    *,
-    seed: int,
-    workers: int,
-    progress: bool,
-) -> list[Record]:
+def write_tube(study: Namespace) -> list[Record]:
     """Write tube.csv, .json, .md and .png; print the table; return one record for each seed."""
-    settings = replace(settings, n_train=max(study.n_train))
+    generator = QuarterCar(read_vehicles()["am96"])
+    settings = CurveSettings(n_train=max(study.n_train), n_test=1000)
+    protocol = read_protocol(study.protocol)
     task = protocol.task(next(iter(protocol.groups)))
     task = replace(task, outputs=PARAMETERS[: max(study.n_outputs)])
     cells = []
-    for own_seed in range(seed, seed + study.n_seeds):
-        problem = Problem(generator, task, settings, own_seed, progress=progress)
+    for seed in range(study.seed, study.seed + study.n_seeds):
+        problem = Problem(generator, task, settings, seed)
         train, test = (problem.features(stream).complete() for stream in (TRAIN, TEST))
         curves = train.inputs, train.outputs, test.inputs, test.outputs
-        cells += _cells(study, protocol.name, own_seed, curves)
-        if study.sines:
-            sines = _sines(own_seed, len(train.inputs), len(test.inputs))
-            cells += _cells(study, SINES, own_seed, sines)
+        cells += _cells(study, protocol.name, seed, curves)
+        if not study.no_sines:
+            sines = _sines(seed, len(train.inputs), len(test.inputs))
+            cells += _cells(study, SINES, seed, sines)
     records = []
-    with progress_bar("tube", len(cells), unit="cell", shown=progress) as bar:
-        for _, compared in each(_compared, cells, workers):
-            if isinstance(compared, LostWorkerError):
-                raise compared
-            records += compared
-            bar.update()
+    for _, compared in tqdm(each(_compared, cells, study.workers), "tube", len(cells)):
+        if isinstance(compared, LostWorkerError):
+            raise compared
+        records += compared
     records.sort(key=lambda r: (r["n_train"], r["seed"]))  # the pool has no order
     labels = list(study.labels)
     records.sort(key=lambda r: (r["problem"] == SINES, r["n_outputs"], labels.index(r["labels"])))
     text = f"{CAPTION}\n\n{tube_markdown(records)}\n"
     figures = {"tube": tube_figure(records)}
-    write_study(folder, "tube", "Where the tube pays", text, records, records, figures)
+    write_study(study.output, "tube", "Where the tube pays", text, records, records, figures)
+    print(text)
     return records
 
 
-def _cells(study: TubeStudy, problem: str, seed: int, arrays: Sequence[FloatArray]) -> list[_Cell]:
+def _cells(study: Namespace, problem: str, seed: int, arrays: Sequence[FloatArray]) -> list[_Cell]:
     X, Y, X_test, Y_test = arrays
     cells = []
     for n_outputs in study.n_outputs:
@@ -352,3 +309,25 @@ def tube_figure(records: Sequence[Record]) -> Figure:
     handles, names = axes[0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=2 * len(panels), fontsize=12)
     return figure
+
+
+def label(text: str) -> str:
+    """Return a kind of errors of the labels, as uniform_5, if there is such a kind."""
+    kind, _, percent = text.partition("_")
+    if kind not in LABELS or (kind != "exact" and not 0 < float(percent or 0) < 50):
+        raise ArgumentTypeError(f"must be one of {', '.join(LABELS)}, as uniform_5, got {text!r}")
+    return text
+
+
+if __name__ == "__main__":
+    parser = Parser(description="Where the tube of MSVR lowers the error.")
+    parser.add_argument("--labels", nargs="+", type=label, default=list(STUDIED))
+    parser.add_argument("--n-train", nargs="+", type=at_least(10), default=[60, 200, 1000, 5000])
+    parser.add_argument("--n-outputs", nargs="+", type=int, choices=(2, 3, 4), default=[2, 4])
+    parser.add_argument("--no-sines", action="store_true", help="study curves alone")
+    parser.add_argument("--n-seeds", type=at_least(2), default=5)
+    parser.add_argument("--seed", type=at_least(0), default=0)
+    parser.add_argument("--protocol", default="paper")
+    parser.add_argument("--workers", type=at_least(1), default=2)
+    parser.add_argument("--output", type=Path, default=Path("outputs/tube"))
+    write_tube(parser.parse_args())

@@ -1,4 +1,10 @@
-"""Methods that were tuned alike: errors over seeds, and paired differences to MSVR."""
+"""Methods that were tuned alike: errors over seeds, and paired differences to MSVR.
+
+python train.py experiment=fair
+python benchmarks/fair.py outputs/fair/RUN
+
+Writes fair.csv, .json, .md and .png into the folder of the multirun.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +16,10 @@ from statistics import fmean, stdev
 from typing import Any
 
 from matplotlib.figure import Figure
+from readings import METHODS, legend_above, summarise
 
 from suspnet.runs.figures import SYMBOLS
-from suspnet.runs.plots import grid, legend_above
-from suspnet.runs.readings import METHODS
+from suspnet.runs.plots import grid
 from suspnet.runs.tables import (
     MODEL_TITLES,
     PUBLISHED,
@@ -22,7 +28,6 @@ from suspnet.runs.tables import (
     in_digits,
     markdown,
     models_of,
-    with_deviation,
     write_study,
 )
 
@@ -205,3 +210,14 @@ def _figure(records: Sequence[Record]) -> Figure:
     axes[0].set_ylabel("MAPE, %")
     legend_above(figure)
     return figure
+
+
+def with_deviation(mean: float | None, deviation: float | None) -> str:
+    """Return a mean and its standard deviation as text; a dash for no mean."""
+    if mean is None:
+        return "-"
+    return f"{mean:.3g}" if deviation is None else f"{mean:.3g} ± {deviation:.2g}"
+
+
+if __name__ == "__main__":
+    summarise(write_fair, "fair")

@@ -1,0 +1,69 @@
+"""The demonstration: simulate a train of which a part wears, learn it, read it: suspnet demo."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import webbrowser
+from argparse import Namespace
+from pathlib import Path
+
+from suspnet.cli.folders import ACT
+from suspnet.ground import progress
+from suspnet.ground.extras import check_extra
+
+FOLDER = Path("demo")
+"""Folder of trips, model and report; each program leaves there what it has not written itself."""
+TRIPS, MODEL, REPORT = (FOLDER / name for name in ("trips", "model", "report"))
+STEPS = {
+    "simulate 8 trips while a damper fades": (
+        *("simulate", "scenario=corner_damper_fade", f"out={TRIPS}", "fleet.n_trips=8"),
+        *("workers=2", "fleet.rate_hz=500"),
+    ),
+    "learn the train on its first 4 trips": (
+        *("train", "experiment=trips", "protocol=components", f"healthy={TRIPS}", "n_healthy=4"),
+        *("data.n_train=300", "data.n_test=50", "data.n_calibrate=null", "figures=false"),
+        f"hydra.run.dir={MODEL}",
+    ),
+    "read all trips": (
+        *("evaluate", f"trips={TRIPS}", f"run={MODEL}", "monitor.workers=2"),
+        f"hydra.run.dir={REPORT}",
+    ),
+}
+"""What is done, and the words of the command line that does it."""
+
+
+def demo(_: Namespace) -> int:
+    """Run the steps, print the verdict and where the report is, and return the exit code.
+
+    ValueError, with the program's own line, if one fails.
+    """
+    check_extra("trips")
+    with progress.on_stderr(), progress.bar("demo", len(STEPS), unit="step") as bar:
+        for title, words in STEPS.items():
+            bar.set_description_str(title)
+            done = subprocess.run(
+                [sys.executable, "-m", "suspnet", *words],
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+            if done.returncode not in (0, ACT):
+                lines = done.stderr.splitlines() or [f"exit code {done.returncode}"]
+                raise ValueError(f"{title}: {lines[-1].removeprefix('error: ')}")
+            bar.update()
+    # what follows the tables of trips and parts, but not the folder
+    lines = done.stdout.splitlines()
+    last_row = max(number for number, line in enumerate(lines) if line.startswith("|"))
+    report = REPORT / "report.html"
+    print(*lines[last_row + 1 : -1], f"-> {report}", sep="\n")
+    if sys.stdout.isatty() and has_display():
+        webbrowser.open(report.absolute().as_uri())
+    return 0
+
+
+def has_display() -> bool:
+    """Return whether a browser could show a page here."""
+    named = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+    return named or sys.platform in ("darwin", "win32")
