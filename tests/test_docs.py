@@ -18,6 +18,7 @@ from trip_fixtures import model_at, small_fleet
 import suspnet
 from suspnet.cli.config_files import CONFIGS, TABLES
 from suspnet.cli.options import PARSERS
+from suspnet.cli.presets import of_healthy
 from suspnet.curves.curves import CurveSettings
 from suspnet.curves.problem import Problem
 from suspnet.estimation.checkpoint import save_model
@@ -42,7 +43,7 @@ PROGRAMS = {
         for sign in " -"
     },
 }
-MOST_LINES = 120
+MOST_LINES = 70
 NEEDS_PLUGIN = "hydra/launcher", "hydra.launcher"
 """Begin overrides that only an extra of the package understands."""
 PLACEHOLDERS = "experiment=best", "vehicle=mine", "vehicle=NAME"
@@ -86,9 +87,10 @@ def overrides_of(line):
     if "--plugin" in words:
         place = words.index("--plugin")
         words = [w for w in words[:place] + words[place + 2 :] if not w.startswith(OF_PLUGINS)]
-    return PROGRAMS[start], [
-        word for word in words if word not in OF_PROGRAM and not word.startswith(NEEDS_PLUGIN)
-    ]
+    words = [w for w in words if w not in OF_PROGRAM and not w.startswith(NEEDS_PLUGIN)]
+    typed = dict(word.lstrip("+").partition("=")[::2] for word in words)
+    implied = of_healthy(typed, (), str) if PROGRAMS[start] == "train" else []
+    return PROGRAMS[start], [*implied, *words]
 
 
 def is_of_group(key):

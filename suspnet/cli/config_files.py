@@ -159,8 +159,8 @@ def _blocks(text: str) -> list[str]:
 
 
 SWITCHES = frozenset(
-    "check_channels estimate_mass figures fit_intercept log_ratios mass_known once open_browser "
-    "open_to_network progress refine standardised tls".split()
+    "by_part check_channels estimate_mass figures fit_intercept log_ratios mass_known once "
+    "open_browser open_to_network progress refine standardised tls".split()
 )
 """Keys that are either on or off, in whichever group they are."""
 

@@ -22,9 +22,7 @@ STEPS = {
         *("workers=2", "fleet.rate_hz=500"),
     ),
     "learn the train on its first 4 trips": (
-        *("train", "experiment=trips", "protocol=components", f"healthy={TRIPS}", "n_healthy=4"),
-        *("data.n_train=300", "data.n_test=50", "data.n_calibrate=null", "figures=false"),
-        f"hydra.run.dir={MODEL}",
+        *("train", f"healthy={TRIPS}", "n_healthy=4", f"hydra.run.dir={MODEL}"),
     ),
     "read all trips": (
         *("evaluate", f"trips={TRIPS}", f"run={MODEL}", "monitor.workers=2"),

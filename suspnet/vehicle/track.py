@@ -221,7 +221,7 @@ def track_spectrum(name: str) -> TrackSpectrum:
     Examples
     --------
     >>> float(track_spectrum("german_low").density(np.array([0.1]))[0].round(9))
-    1.05e-07
+    4.056e-06
     """
     check_choice("track", name, sorted(TRACKS))
     return TRACKS[name]

@@ -26,7 +26,7 @@ import suspnet.cli.train, suspnet.cli.evaluate, suspnet.runs.sweeps
 problem = Problem(
     suspnet.QuarterCar(suspnet.read_vehicles()["am96"]),
     read_protocol("multi_location").task("primary"),
-    suspnet.CurveSettings(n_train=60, n_test=20, n_calibrate=None, step_hz=0.1, cache_dir=None),
+    suspnet.CurveSettings(n_train=60, n_test=20, n_calibrate=None, step_hz=0.1),
     seed=0,
 )
 metrics = train(problem, MSVR(C=100.0), "run", figures=False)

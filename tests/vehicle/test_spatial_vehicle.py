@@ -40,7 +40,10 @@ def test_missing_columns_are_healthy_and_nominal():
     generator = SpatialVehicle(AM96, parts=EVERY)
     complete = generator.complete(HEALTHY)[0]
     for name, value in zip(generator.columns[13:], complete[13:].tolist(), strict=True):
-        absent = name.startswith("delay_") or name in ("wheelset_roll_share", "yaw_height")
+        absent = name.startswith(("delay_", "cross_axis_")) or name in (
+            "wheelset_roll_share",
+            "yaw_height",
+        )
         assert value == (0.0 if absent else MEDIANS.get(name, 1.0)), name
     sixth = torch.cat([HEALTHY, torch.tensor([[0.8]], dtype=torch.float64)], dim=1)
     slower = SpatialVehicle(AM96, parts=EVERY, speed_m_per_s=56.0)
