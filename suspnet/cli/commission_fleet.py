@@ -97,20 +97,22 @@ def train_fleet(
     failed = {group.name: group.error for group in groups if group.error}
     numbers = first_trips(config.n_healthy, [group.name for group in groups])
     runs = [_run(config, group, folder, numbers[group.name]) for group in groups if not group.error]
-    missing = [r for r in runs if not folders.is_finished(OmegaConf.create(r.config), r.folder)]
+    unfinished = [r for r in runs if not folders.is_finished(OmegaConf.create(r.config), r.folder)]
     # no fleet.json of an earlier attempt may remain if this one fails
     folders.start_again(folder)
     program.save_config(config, folder)
-    already = f", {len(runs) - len(missing)} are finished already" if missing != runs else ""
-    where = folder / "NAME" / LOG  # minutes pass before the first one is finished
+    n_finished = len(runs) - len(unfinished)
+    already = f", {n_finished} are finished already" if n_finished else ""
+    where = folder / "NAME" / LOG
+    # minutes pass before the first one is finished
     words = "%d suspensions in %s%s; each writes what it has done to %s"
     log.info(words, len(groups), config.healthy, already, where)
     for name, message in failed.items():
         log.warning("%s is not trained: %s", name, message)
     work = functools.partial(_trained, train_one=train_one)
-    bar = progress_bar("suspensions", len(missing), unit="suspension", shown=config.progress)
+    bar = progress_bar("suspensions", len(unfinished), unit="suspension", shown=config.progress)
     with bar:
-        for run, outcome in each(work, missing, config.workers):
+        for run, outcome in each(work, unfinished, config.workers):
             warnings, error = (
                 ([], str(outcome)) if isinstance(outcome, LostWorkerError) else outcome
             )

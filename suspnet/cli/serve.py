@@ -83,8 +83,8 @@ def serve(board: Board, config: DictConfig) -> None:
     from suspnet.trains.pages.board import Refresher
 
     refresher = Refresher(board, config.refresh_s)
-    names = [*config.hosts, *([] if config.host == ANY else [config.host])]
-    app = create_app(refresher, names, config.refresh_s, _access(config), config.language)
+    host_names = [*config.hosts, *([] if config.host == ANY else [config.host])]
+    app = create_app(refresher, host_names, config.refresh_s, _access(config), config.language)
     try:
         listening = socket.create_server((config.host, config.port))
     except OSError as error:
@@ -105,8 +105,8 @@ def serve(board: Board, config: DictConfig) -> None:
     threading.Thread(target=_run, args=(server, ended), name="server", daemon=True).start()
     if config.open_browser:
         threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
-    code = ended.get()
-    signals.end_at_once()  # a second signal
+    code = ended.get()  # 0 from the server's thread: it has ended by itself
+    signals.end_at_once()  # from now on a signal ends the program without waiting
     refresher.stop(END_S)
     server.task_dispatcher.shutdown(timeout=END_S)
     if not code:

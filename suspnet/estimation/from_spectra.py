@@ -106,7 +106,8 @@ def estimate_with_noise(
     unknown = np.full(len(outputs), np.nan)
     if method.intervals is None and not method.refined:
         return _estimate(method, predicted[0], unknown, level), np.ones(len(outputs))
-    refined, found = _refined(method, observer, spectra, predicted)
+    # also where the regression's estimate stays, as its misfit flags the trip
+    refined, failure = _refined(method, observer, spectra, predicted)
     if method.intervals is None or method.ood is None:
         values = refined.of(outputs)[0][0]
         return _estimate(method, values, unknown, level), np.ones(len(outputs))
@@ -125,11 +126,12 @@ def estimate_with_noise(
     if by_curve and not method.refined:
         factor, usual = np.full(len(outputs), norm.ppf((1 + level) / 2)), np.ones(len(outputs))
     ratios = torch.as_tensor(complete_ratios(task, predicted))
-    # split the variance: noise of this trip, and the lasting part from the calibration
+    # split the variance: noise of this trip, a deviation, and the lasting variance of calibration
     if by_curve:
         values, deviation = (part[0] for part in refined.of(outputs))
         noise = refined.noise_of(outputs)[0]
         lasting = _lasting(deviation, noise)
+        # what calibration finds beyond the deviations of the fit lasts, too
         if method.refined and not (usual < CONFIRMED).all():
             bounds = output_bounds(task, observer, ratios.numpy())
             bounds = bounds[0] / ratios.numpy()[0, task.output_indices]
@@ -147,7 +149,7 @@ def estimate_with_noise(
     noise = noise * max(1.0, float(refined.misfit[0]))
     spread = np.sqrt(lasting + noise**2)
     estimate = _estimate(method, values, factor / usual * spread, level, flags)
-    estimate = replace(estimate, found=found, misfit=float(refined.misfit[0]))
+    estimate = replace(estimate, found=failure, misfit=float(refined.misfit[0]))
     law = DampingByVelocity.noted(method.training)
     if law is not None:
         own = relative_velocities(spectra, observer.frequencies_hz)

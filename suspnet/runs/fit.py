@@ -78,12 +78,12 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
     names = {kind: name for name, kind in METHODS.items()}
     name = names.get(type(estimator), type(estimator).__name__)
     model = TrainedModel(
-        name,
-        estimator,
-        replace(problem.task, extractor=problem.extractor),
-        problem.generator,
-        problem.settings,
-        problem.healthy_features(),
+        name=name,
+        estimator=estimator,
+        task=replace(problem.task, extractor=problem.extractor),
+        generator=problem.generator,
+        settings=problem.settings,
+        healthy_features=problem.healthy_features(),
     )
     training: dict[str, Any] = {"seed": problem.seed, "seconds": 0.0}
     # methods that work on curves learn nothing: they fit the model's own curve to each
@@ -98,12 +98,11 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
                 100 * (1 - n_kept / n_made),
             )
         # scale, then fit: iterations and seconds are those of the fit alone
-        inputs, outputs = scalings(problem.task, kept)
-        model = replace(model, input_scaling=inputs, output_scaling=outputs)
+        of_inputs, of_outputs = scalings(problem.task, kept)
+        model = replace(model, input_scaling=of_inputs, output_scaling=of_outputs)
         start = time.perf_counter()
-        shown = _FitProgress(estimator, name, run_log, n_kept, problem.progress)
-        with shown:
-            estimator.fit(inputs.apply(kept.inputs), outputs.apply(kept.outputs))
+        with _FitProgress(estimator, name, run_log, n_kept, problem.progress):
+            estimator.fit(of_inputs.apply(kept.inputs), of_outputs.apply(kept.outputs))
         training["seconds"] = time.perf_counter() - start
         training |= {"n_train": n_made, "n_train_complete": n_kept}
     training |= _summary(estimator)

@@ -99,8 +99,8 @@ def bounced(
     first = _bogie(p, "", omega, links, layout.parts)
     other = _bogie(p, "other_", omega, links, layout.parts)
     body = _body(layout, p, omega, first, other)
-    # What a place sees of the body's bounce, pitch and bending. The matrix of the body is
-    # symmetric, so that one solution for each place serves the forces of all wheelsets.
+    # What a place sees of the body's bounce, pitch and bending. By reciprocity (the matrix of the
+    # body is symmetric) one solution for each place serves the forces of all wheelsets.
     ahead = 1 + forward * layout.body_sensor_m / p["half_pivot_distance"]
     at_body = body.answer((torch.ones_like(ahead), ahead, p["bending_at_sensor"]))
     frame = first.link, first.link, first.link * body.at_pivot

@@ -77,22 +77,25 @@ class WornPart:
 
 
 def worn_parts(estimate: PartsEstimate) -> list[WornPart]:
-    """Return the parts that have worn, the most certain first; none if none has."""
+    """Return the parts that have worn, the most certain first; none if none has.
+
+    Differences of the log posteriors of two sets of worn parts are their log odds.
+    """
     logs = np.log(estimate.values[: len(BOGIE_PARTS)])
     covariance = estimate.covariance[: len(BOGIE_PARTS), : len(BOGIE_PARTS)] + _usual()
 
-    def log_odds(worn: Sequence[int]) -> float:
+    def log_posterior(worn: Sequence[int]) -> float:
         return _log_probability(logs, covariance, worn) + len(worn) * math.log(RARE / (1 - RARE))
 
     worn: list[int] = []
     for _ in BOGIE_PARTS:  # each round adds a part or ends
-        events = {event: log_odds([*worn, *event]) for event in _events(worn)}
+        events = {event: log_posterior([*worn, *event]) for event in _events(worn)}
         best = max(events, key=events.__getitem__, default=())
-        if not best or events[best] - log_odds(worn) < math.log(ODDS):
+        if not best or events[best] - log_posterior(worn) < math.log(ODDS):
             break
         worn += best
     for _ in tuple(worn):  # a part that another one has explained since leaves again
-        gains = {j: log_odds(worn) - log_odds([i for i in worn if i != j]) for j in worn}
+        gains = {j: log_posterior(worn) - log_posterior([i for i in worn if i != j]) for j in worn}
         least = min(gains, key=gains.__getitem__)
         if gains[least] >= math.log(ODDS):
             break
@@ -101,13 +104,13 @@ def worn_parts(estimate: PartsEstimate) -> list[WornPart]:
     for j in worn:
         rest = [i for i in worn if i != j]
         others = {
-            i: log_odds(worn) - log_odds([*rest, i])
+            i: log_posterior(worn) - log_posterior([*rest, i])
             for i in range(len(BOGIE_PARTS))
             if i not in worn
         }
         alike = [i for i in sorted(others, key=others.__getitem__) if others[i] < math.log(ODDS)]
         names = tuple(BOGIE_PARTS[i] for i in (j, *alike))
-        odds = math.exp(min(log_odds(worn) - log_odds(rest), 700.0))
+        odds = math.exp(min(log_posterior(worn) - log_posterior(rest), 700.0))  # no overflow
         found.append(WornPart(names, odds, float(estimate.values[j])))
     return sorted(found, key=lambda one: -one.odds)
 

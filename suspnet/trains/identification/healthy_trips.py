@@ -110,93 +110,114 @@ def read_healthy(
     manifests, later = manifests[:n_first], manifests[n_first:]
     _check_same(folder, manifests, generator)
     vehicle = bogie_vehicle(manifests, generator)
-    of_parts = []
     # a trip without a usable stretch is left out, with the reason
-    kept: list[TripManifest] = []
-    groups: list[HealthySpectra] = []
-    paired: set[tuple[bool, bool, bool]] = set()
+    kept: list[_ReadTrip] = []
     left_out = []
-    has_curves = True
-    others: list[Elsewhere | None] = []
     for manifest in bar("healthy trips", items=manifests, unit="trip", shown=progress):
-        recording = load_recording(manifest, trips.rate_hz)
-        if recording.dead:
-            faults = [str(fault) for fault in recording.faults if fault.channel in recording.dead]
-            left_out.append(of(manifest.name, together(faults, ": ")))
-            continue
-        if recording.absent and vehicle is None:
-            raise TripError(of(manifest.path, no_channel(recording)))
-        has_curves &= not recording.absent
-        segments = recording_segments(recording, settings.welch)
-        is_read, other = not recording.absent, None
-        found = _spectra(recording, segments, len(kept), settings, trips) if is_read else []
-        if found and trips.check_channels:
-            other = elsewhere(generator, settings, found[0], manifest.direction)
-        # phases show the direction only with the sensors in their places
-        placed = generator if other is None else other.found.vehicle
-        direction = direction_of(recording, segments, placed, trips)
-        found = [replace(one, direction=direction) for one in found]
-        if is_read and not found:
-            words = together((Finding("no-steady-stretch"), unrepaired_words(recording)), ": ")
-            left_out.append(of(manifest.name, words))
-            continue
-        if vehicle is not None:
-            try:
-                of_parts.append(_with_all_sensors(recording, vehicle, trips, direction))
-            except NoEstimateError as reason:
-                left_out.append(of(manifest.name, str(reason)))
-                continue
-        kept.append(replace(manifest, start=manifest.start or recording.started))
-        others.append(other)
-        groups += found
-        paired.add(recording.paired)
+        try:
+            kept.append(_read_one(manifest, len(kept), generator, vehicle, settings, trips))
+        except NoEstimateError as reason:
+            left_out.append(of(manifest.name, str(reason)))
     # the remaining trips must be enough, and of the same sensors
     if len(kept) < LEAST_TRIPS:
         kind = "too-few-healthy-as" if left_out else "too-few-healthy"
         given = {"n": len(kept), "least": LEAST_TRIPS, "reasons": together(left_out)}
         raise TripError(at(folder, kind, **given))
+    paired = {trip.paired for trip in kept}
     if len(paired) > 1:
         raise TripError(at(folder, "pairs-and-single-sensors"))
-    stated = tuple(manifest.direction for manifest in later if manifest.direction is not None)
+    groups = tuple(group for trip in kept for group in trip.groups)
     return HealthyTrips(
-        tuple(kept),
-        tuple(groups) if has_curves else (),
+        tuple(trip.manifest for trip in kept),
+        groups if all(trip.groups for trip in kept) else (),
         paired.pop(),
         tuple(left_out),
-        stated,
+        tuple(manifest.direction for manifest in later if manifest.direction is not None),
         vehicle,
-        tuple(of_parts),
-        tuple(_doubts(kept, groups, others, generator)),
+        tuple(trip.of_parts for trip in kept if trip.of_parts is not None),
+        tuple(_doubts(kept, groups, generator)),
+    )
+
+
+@dataclass(frozen=True)
+class _ReadTrip:
+    """A healthy trip: its spectra at each speed, none without a sensor of some channel at axle 1.
+
+    `elsewhere` is where its sensors look to be, None where the manifest says; `of_parts` is the
+    trip as its parts are read, None if they are not.
+    """
+
+    manifest: TripManifest
+    paired: tuple[bool, bool, bool]
+    groups: tuple[HealthySpectra, ...]
+    elsewhere: Elsewhere | None
+    of_parts: BogieTrip | None
+
+
+def _read_one(
+    manifest: TripManifest,
+    number: int,
+    generator: VerticalVehicle,
+    vehicle: SpatialVehicle | None,
+    settings: EstimateSettings,
+    trips: TripSettings,
+) -> _ReadTrip:
+    """Return trip `number` of the healthy ones; NoEstimateError if it has no usable stretch."""
+    recording = load_recording(manifest, trips.rate_hz)
+    if recording.dead:
+        faults = [str(fault) for fault in recording.faults if fault.channel in recording.dead]
+        raise NoEstimateError(together(faults, ": "))
+    if recording.absent and vehicle is None:
+        raise TripError(of(manifest.path, no_channel(recording)))
+    segments = recording_segments(recording, settings.welch)
+    groups: list[HealthySpectra] = []
+    other = None
+    if not recording.absent:
+        groups = _spectra(recording, segments, number, settings, trips)
+        if groups and trips.check_channels:
+            other = elsewhere(generator, settings, groups[0], manifest.direction)
+    # phases show the direction only with the sensors in their places
+    placed = generator if other is None else other.found.vehicle
+    direction = direction_of(recording, segments, placed, trips)
+    if not groups and not recording.absent:
+        reason = together((Finding("no-steady-stretch"), unrepaired_words(recording)), ": ")
+        raise NoEstimateError(reason)
+    of_parts = None
+    if vehicle is not None:
+        of_parts = _with_all_sensors(recording, vehicle, trips, direction)
+    return _ReadTrip(
+        replace(manifest, start=manifest.start or recording.started),
+        recording.paired,
+        tuple(replace(group, direction=direction) for group in groups),
+        other,
+        of_parts,
     )
 
 
 def _doubts(
-    manifests: Sequence[TripManifest],
-    groups: Sequence[HealthySpectra],
-    others: Sequence[Elsewhere | None],
-    generator: VerticalVehicle,
+    trips: Sequence[_ReadTrip], groups: Sequence[HealthySpectra], generator: VerticalVehicle
 ) -> list[str]:
     """Return sentences on trips that look measured elsewhere, and on trips all run in reverse."""
-    found: list[str] = []
-    changes = Counter(other.change for other in others if other is not None)
-    for change, n in changes.most_common(1):
-        if 2 * n > len(others):  # one trip alone may be at fault
-            first = next(one for one in others if one is not None and one.change == change)
-            found.append(
-                Finding("on-some-healthy-trips", n=n, n_others=len(others), first=str(first))
+    doubts: list[str] = []
+    others = [trip.elsewhere for trip in trips if trip.elsewhere is not None]
+    for change, n in Counter(other.change for other in others).most_common(1):
+        if 2 * n > len(trips):  # one trip alone may be at fault
+            first = next(other for other in others if other.change == change)
+            doubts.append(
+                Finding("on-some-healthy-trips", n=n, n_others=len(trips), first=str(first))
             )
-    is_reverse = bool(groups) and all(one.direction == REVERSE for one in groups)
-    if is_reverse and all(one.direction is None for one in manifests):
-        found.append(
+    is_reverse = bool(groups) and all(group.direction == REVERSE for group in groups)
+    if is_reverse and all(trip.manifest.direction is None for trip in trips):
+        doubts.append(
             Finding(
                 "all-in-reverse",
-                n_others=len(others),
+                n_others=len(trips),
                 axle=generator.axle,
                 bogie=generator.bogie,
                 frame_sensor=generator.frame_sensor,
             )
         )
-    return found
+    return doubts
 
 
 OTHER = {"bogie": "other-bogie", "axle": "other-axle"}

@@ -190,22 +190,24 @@ class Times:
         first = float(finite[0]) if len(finite) else 0.0
         # the unit by the manifest or the file, which must not contradict each other
         stated, unit = self.source.time_unit, self.column.unit
-        written = size_of("time", unit)
-        if stated is not None and written is not None and written != TIME_UNITS[stated]:
+        written_s = size_of("time", unit)
+        if stated is not None and written_s is not None and written_s != TIME_UNITS[stated]:
             raise TripError.at(
                 self.where, "time-unit-differs", stated=repr(stated), unit=repr(unit)
             )
-        if stated is None and written is None and unit:
+        if stated is None and written_s is None and unit:
             units = {"unit": repr(unit), "time_units": list(TIME_UNITS)}
             raise TripError.at(self.where, "time-unit-unknown", **units)
-        size = written if stated is None else TIME_UNITS[stated]
-        sizes = TIME_UNITS.values() if size is None else [size]
+        size_s = written_s if stated is None else TIME_UNITS[stated]
+        sizes_s = TIME_UNITS.values() if size_s is None else [size_s]
         step = float(np.median(np.diff(finite))) if len(finite) > 1 else 0.0
-        # numbers that make the first one a date are counted from 1970
+        # numbers that make the first one a date are counted from 1970; a unit in which successive
+        # samples lie far apart is too large, and of several the coarsest, the first, is taken
         low, high = DATED_S
-        dated = [s for s in sizes if low <= first * s <= high and step * s < LONGEST_STEP_S]
-        self._size = dated[0] if dated else (size or 1.0)
+        dated = [s for s in sizes_s if low <= first * s <= high and step * s < LONGEST_STEP_S]
+        self._size = dated[0] if dated else (size_s or 1.0)
         if dated:
+            # the zero is a whole second, so that later times keep their digits
             whole_s = int(first * self._size)
             self._first = whole_s / self._size
             if self._size < 1:  # then its inverse is exact

@@ -132,13 +132,13 @@ def open_source(manifest: TripManifest, source: FileSource, where: str) -> Itera
         if time is None and rate_hz is None:
             time = _only_stamps(where, path, file)
         # factor to SI units, and the sensor's range in them
-        size, words = _size(where, source, column)
+        factor, words = _size(where, source, column)
         full_scale = getattr(source, "range", None)
         if full_scale is not None:
-            full_scale *= abs(size)
+            full_scale *= abs(factor)
         times = None
         if time is not None:
-            choose(path, file, [time])
+            choose(path, file, [time])  # raises if there is no such column
             times = Times(where, source, file.column(time), column.start_ns)
         elif source.time_unit is not None or source.time_zone is not None:
             raise TripError.at(where, "time-keys-without-time")
@@ -146,7 +146,7 @@ def open_source(manifest: TripManifest, source: FileSource, where: str) -> Itera
             path,
             file,
             (name,) if time is None else (time, name),
-            size,
+            factor,
             rate_hz,
             times,
             Zero(column.start_ns, not column.is_local, is_stated=True, date=header_date(column)),
