@@ -117,6 +117,62 @@ def mdf_attachment(folder: Path, *, embedded: bool) -> Path:
     return written.rename(folder / "data.mf4")
 
 
+# HDF5
+
+
+def hdf5(folder: Path, fill, suffix=".h5") -> Path:
+    """Write an HDF5 file that a function fills, and ``secret.h5`` beside it."""
+    h5py = needed("h5py")
+    with h5py.File(folder / "secret.h5", "w") as file:
+        file["x"] = np.full(200, SECRET)
+    path = folder / f"data{suffix}"
+    with h5py.File(path, "w", userblock_size=512 if suffix == ".mat" else 0) as file:
+        fill(h5py, file, folder)
+    if suffix == ".mat":
+        with path.open("r+b") as stream:
+            stream.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    return path
+
+
+def external(_, file, folder, files=("{folder}/secret",), shape=(200,)):
+    size = 8 * int(np.prod(shape)) // len(files)
+    parts = [(name.format(folder=folder), 0, size) for name in files]
+    file.create_dataset("a", shape, dtype="f8", external=parts)
+
+
+def virtual(h5py, file, folder, source="{folder}/secret.h5"):
+    layout = h5py.VirtualLayout((200,), "f8")
+    layout[:] = h5py.VirtualSource(source.format(folder=folder), "x", (200,))
+    file.create_virtual_dataset("a", layout)
+
+
+def link(h5py, file, folder, target):
+    if target in ("/", "/x"):
+        file["a"] = h5py.ExternalLink(str(folder / "secret.h5"), target)
+    elif target == "loop":
+        file["a"], file["b"] = h5py.SoftLink("/b"), h5py.SoftLink("/a")
+    else:
+        file["b"] = h5py.ExternalLink(str(folder / "secret.h5"), "/")
+        file["a"] = h5py.SoftLink("/b/x")
+
+
+def plugin(h5py, file, _, number=32001):
+    plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    plan.set_chunk((50,))
+    plan.set_filter(number, h5py.h5z.FLAG_OPTIONAL, (1, 2))
+    space = h5py.h5s.create_simple((50,))
+    h5py.h5d.create(file.id, b"a", h5py.h5t.NATIVE_DOUBLE, space, plan)
+    h5py.Dataset(file["a"].id).id.write_direct_chunk((0,), A.tobytes())
+
+
+def references(h5py, file, _):
+    file["x"] = A
+    file.create_dataset("a", (2,), h5py.ref_dtype)[0] = file["x"].ref
+    file.create_dataset("b", (2,), h5py.regionref_dtype)[0] = file["x"].regionref[:9]
+    file.create_dataset("c", (2,), h5py.vlen_dtype("f8"))[0] = A
+    file["x"].attrs["unit"] = np.void(pickle.dumps(print))
+
+
 # MAT, TDMS, Parquet and others
 
 
@@ -238,6 +294,29 @@ ACTING = {
     **{f"mdf xml {name}": partial(mdf_comment, text=text) for name, text in XML.items()},
     "mdf attachment": partial(mdf_attachment, embedded=True),
     "mdf other file": partial(mdf_attachment, embedded=False),
+    **{
+        f"hdf5 external {name}": partial(hdf5, fill=partial(external, **how))
+        for name, how in {
+            "file": {},
+            "relative": {"files": ("secret",)},
+            "matrix": {"shape": (100, 2)},
+            "passwords": {"files": ("/etc/passwd",), "shape": (20,)},
+        }.items()
+    },
+    "mat 7.3 external": partial(hdf5, fill=external, suffix=".mat"),
+    **{
+        f"hdf5 virtual {source}": partial(hdf5, fill=partial(virtual, source=source))
+        for source in ("{folder}/secret.h5", "secret.h5", "{folder}/secret.h5%%", ".", "absent.h5")
+    },
+    **{
+        f"hdf5 link {target}": partial(hdf5, fill=partial(link, target=target))
+        for target in ("/", "/x", "loop", "through")
+    },
+    **{
+        f"hdf5 plug-in {number}": partial(hdf5, fill=partial(plugin, number=number))
+        for number in (305, 32001, 65535)
+    },
+    "hdf5 references": partial(hdf5, fill=references),
     **{f"mat class {number}": partial(mat_class, number=number) for number in (3, 16, 17)},
     "mat pickle": mat_pickle,
     **{f"pickle as {suffix}": partial(pickled, suffix=suffix) for suffix in SUFFIXES},
@@ -252,7 +331,7 @@ ACTING = {
     **{f"link as {suffix}": partial(linked, suffix=suffix) for suffix in SUFFIXES},
 }
 HARMLESS = (
-    *("mdf xml laughs", "mdf xml entity", "mdf attachment", "mdf other file"),
+    *("mdf xml laughs", "mdf xml entity", "mdf attachment", "mdf other file", "hdf5 references"),
     *("tdms index", "tdms Formula", "tdms Python", "tdms Add", "tdms Table", "parquet extension"),
     *("mdf at second group", "mdf at master", "csv"),
 )
