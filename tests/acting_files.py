@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from recording_files import needed, write_tdms
+from recording_files import hdf5_file, needed, write_tdms
 from scipy.io import savemat
 
 from suspnet.trains.recordings.formats import FORMATS
@@ -125,18 +125,13 @@ def hdf5(folder: Path, fill, suffix=".h5") -> Path:
     h5py = needed("h5py")
     with h5py.File(folder / "secret.h5", "w") as file:
         file["x"] = np.full(200, SECRET)
-    path = folder / f"data{suffix}"
-    with h5py.File(path, "w", userblock_size=512 if suffix == ".mat" else 0) as file:
+    with hdf5_file(folder / f"data{suffix}") as file:
         fill(h5py, file, folder)
-    if suffix == ".mat":
-        with path.open("r+b") as stream:
-            stream.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
-    return path
+    return folder / f"data{suffix}"
 
 
-def external(_, file, folder, files=("{folder}/secret",), shape=(200,)):
-    size = 8 * int(np.prod(shape)) // len(files)
-    parts = [(name.format(folder=folder), 0, size) for name in files]
+def external(_, file, folder, name="{folder}/secret", shape=(200,)):
+    parts = [(name.format(folder=folder), 0, 8 * int(np.prod(shape)))]
     file.create_dataset("a", shape, dtype="f8", external=parts)
 
 
@@ -298,9 +293,9 @@ ACTING = {
         f"hdf5 external {name}": partial(hdf5, fill=partial(external, **how))
         for name, how in {
             "file": {},
-            "relative": {"files": ("secret",)},
+            "relative": {"name": "secret"},
             "matrix": {"shape": (100, 2)},
-            "passwords": {"files": ("/etc/passwd",), "shape": (20,)},
+            "passwords": {"name": "/etc/passwd", "shape": (20,)},
         }.items()
     },
     "mat 7.3 external": partial(hdf5, fill=external, suffix=".mat"),

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from recording_files import needed, write_mdf, write_tdms, write_uff
+from recording_files import hdf5_file, needed, write_mdf, write_tdms, write_uff
 
 from suspnet.trains.recordings.formats import FORMATS
 
@@ -24,33 +24,16 @@ ZEROS = 2**24
 # HDF5
 
 
-def hdf5(folder: Path, *, shape, suffix=".h5", data=None, **how) -> Path:
+def hdf5(folder: Path, *, shape, suffix=".h5", **how) -> Path:
     """Write a data set of which nothing is stored but its shape."""
-    h5py = needed("h5py")
-    path = folder / f"data{suffix}"
-    with h5py.File(path, "w", userblock_size=512 if suffix == ".mat" else 0) as file:
-        file.create_dataset("a", shape, "f8", data, **how)
-    if suffix == ".mat":
-        with path.open("r+b") as stream:
-            stream.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
-    return path
-
-
-def hdf5_packed(folder: Path, *, n_chunks: int, n: int = ZEROS) -> Path:
-    """Write packed zeros: each chunk of 128 MB is 128 kB."""
-    h5py = needed("h5py")
-    with h5py.File(folder / "data.h5", "w") as file:
-        data = file.create_dataset("a", (n_chunks * n,), "f8", chunks=(n,), compression="gzip")
-        chunk = zlib.compress(bytes(8 * n), 9)
-        for i in range(n_chunks):
-            data.id.write_direct_chunk((i * n,), chunk)
-    return folder / "data.h5"
+    with hdf5_file(folder / f"data{suffix}") as file:
+        file.create_dataset("a", shape, "f8", **how)
+    return folder / f"data{suffix}"
 
 
 def hdf5_note(folder: Path, *, size: int) -> Path:
     """Write an attribute's neighbour, a text of gigabytes, beside a column."""
-    h5py = needed("h5py")
-    with h5py.File(folder / "data.h5", "w") as file:
+    with hdf5_file(folder / "data.h5") as file:
         file["g/a"] = A
         file.create_dataset("g/unit", (1,), f"S{size}", chunks=None)
         file.create_dataset("g/fs", (10**8,), "f8", chunks=(10**6,))
@@ -122,18 +105,12 @@ def parquet_columns(folder: Path, *, n_columns: int) -> Path:
 # WAV
 
 
-def wav(
-    folder: Path, *, n_bytes: int, bits: int = 16, form: int = 1, channels: int = 1, rf64=False
-):
+def wav(folder: Path, *, n_bytes: int, bits: int = 16, form: int = 1) -> Path:
     """Write a WAV file that is one hole."""
-    path, frame = folder / "data.wav", bits // 8 * channels
-    size = 2**32 - 1 if rf64 else n_bytes
-    head = b"RF64" if rf64 else b"RIFF"
-    head += struct.pack("<I", min(n_bytes + 36, 2**32 - 1)) + b"WAVE"
-    if rf64:
-        head += b"ds64" + struct.pack("<IQQQI", 28, n_bytes + 72, n_bytes, n_bytes // frame, 0)
-    head += b"fmt " + struct.pack("<IHHIIHH", 16, form, channels, 1000, 1000 * frame, frame, bits)
-    path.write_bytes(head + b"data" + struct.pack("<I", size))
+    path, frame = folder / "data.wav", bits // 8
+    head = b"RIFF" + struct.pack("<I", n_bytes + 36) + b"WAVE"
+    head += b"fmt " + struct.pack("<IHHIIHH", 16, form, 1, 1000, 1000 * frame, frame, bits)
+    path.write_bytes(head + b"data" + struct.pack("<I", n_bytes))
     os.truncate(path, path.stat().st_size + n_bytes)
     return path
 
@@ -246,7 +223,6 @@ DECLARING = {
     "hdf5 in chunks": partial(hdf5, shape=(10**11,), chunks=(10**5,), compression="gzip"),
     "hdf5 matrix": partial(hdf5, shape=(3, 10**10)),
     "hdf5 of one piece": partial(hdf5, shape=(10**8,), chunks=(10**8,), compression="gzip"),
-    "hdf5 of many zeros": partial(hdf5_packed, n_chunks=100),
     "hdf5 notes": partial(hdf5_note, size=2**31 - 1),
     "mat 7.3 of 1e+11": partial(hdf5, shape=(1, 10**11), suffix=".mat"),
     **{f"mat of {n:.0e}": partial(mat, n=n) for n in (10**8, 2 * 10**9)},
@@ -267,7 +243,6 @@ DECLARING = {
         for bits, form in ((16, 1), (24, 1), (32, 3))
     },
     "wav of 24 bits, 0.2 GB": partial(wav, n_bytes=3 * 6 * 10**7, bits=24),
-    "wav of a terabyte": partial(wav, n_bytes=10**12, rf64=True),
     **{f"uff of {n:.0e}": partial(uff, n=n) for n in (10**8, 9 * 10**9)},
     **{f"tdms of {n:.0e}": partial(tdms, n=n) for n in (10**9, 10**11, 2**63)},
     **{f"tdms with a hole, {n:.0e}": partial(tdms, n=n, hole=8 * n) for n in (10**8, 10**10)},

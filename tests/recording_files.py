@@ -3,6 +3,7 @@
 import csv
 import warnings
 from collections.abc import Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -65,9 +66,19 @@ def write_mat(path: Path, columns: Mapping, **_) -> None:
     savemat(path, dict(columns))
 
 
+@contextmanager
+def hdf5_file(path: Path):
+    """Open an HDF5 file to write it; a MAT file of version 7.3 has a header in front."""
+    is_mat = path.suffix == ".mat"
+    with needed("h5py").File(path, "w", userblock_size=512 if is_mat else 0) as file:
+        yield file
+    if is_mat:
+        with path.open("r+b") as stream:
+            stream.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+
+
 def write_hdf5(path: Path, columns: Mapping, **said) -> None:
-    h5py = needed("h5py")
-    with h5py.File(path, "w") as file:
+    with hdf5_file(path) as file:
         for name, values in columns.items():
             file[name] = np.asarray(values)[None, :]  # as MATLAB 7.3 does
             for key, value in said.items():

@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from recording_files import needed, opened, write_uff
+from recording_files import hdf5_file, needed, opened, write_uff
 from scipy.io import savemat
 from scipy.sparse import csc_array
 
@@ -41,18 +41,13 @@ def hdf5(path: Path, **attributes):
 
 
 CALIBRATED = [  # stored numbers, their attributes, and the samples
-    (VALUES, {"scale_factor": 0.5, "add_offset": -1.0}, 0.5 * VALUES - 1),
-    (VALUES, {"scale_factor": np.array([2.0])}, 2 * VALUES),
+    (VALUES, {"scale_factor": [0.5], "add_offset": -1.0}, 0.5 * VALUES - 1),
     (VALUES, {"_FillValue": 3.0, "scale_factor": 3.0}, [0, 3, 6, np.nan, 12, 15, 18, 21]),
     (VALUES, {"missing_value": [0, 7]}, [np.nan, 1, 2, 3, 4, 5, 6, np.nan]),
     (VALUES, {"valid_range": [1, 6]}, [np.nan, 1, 2, 3, 4, 5, 6, np.nan]),
     (VALUES, {"valid_min": 1, "valid_max": 6.0}, [np.nan, 1, 2, 3, 4, 5, 6, np.nan]),
-    (VALUES, {"other": 5.0}, VALUES),
     (np.float32([1, -9999.9]), {"_FillValue": -9999.9}, [1, np.nan]),
-    (np.float32([0.1, 0.2]), {"valid_max": 0.1}, [np.float32(0.1), np.nan]),
-    (np.int8([1, -1]), {"_Unsigned": "true"}, [1, 255]),
     (np.int8([1, -1]), {"_Unsigned": "true", "_FillValue": np.int8(-1)}, [1, np.nan]),
-    (np.int8([1, -2]), {"_Unsigned": "true", "valid_range": np.int8([0, -2])}, [1, 254]),
     (np.uint8([1, 241]), {"_FillValue": -9999}, [1, 241]),
 ]
 
@@ -65,48 +60,28 @@ def test_scale_and_missing_samples_of_hdf5_are_applied(tmp_path, stored, attribu
     np.testing.assert_array_equal(read(tmp_path / "a.h5", "b")[0], expected)
 
 
-@pytest.mark.parametrize("name", ["Gain", "Scale_Factor", "scaling", "Lsb", "FillValue"])
+@pytest.mark.parametrize("name", ["Gain", "Scale_Factor"])
 def test_attributes_of_hdf5_without_a_convention_are_named(tmp_path, name):
     hdf5(tmp_path / "a.h5", **{name: 10.0, "unit": "g"}).close()
     words = f"a.h5: attributes that are not applied: 'a.{name}'"
     assert contents_of(tmp_path / "a.h5").read_as == words
 
 
-@pytest.mark.parametrize("is_turned", [False, True])
-def test_each_column_of_a_matrix_has_its_scale(tmp_path, is_turned):
-    with hdf5(tmp_path / "a.h5") as file:
-        file["b"] = np.ones((3, N) if is_turned else (N, 3))
-        file["b"].attrs.update({"scale_factor": [1.0, 2.0, 3.0], "add_offset": 1.0})
-    columns = read(tmp_path / "a.h5", "b[0]", "b[1]", "b[2]")
-    np.testing.assert_array_equal(columns, [[i] * N for i in (2, 3, 4)])
-
-
-@pytest.mark.parametrize(
-    "said", [{"scale_factor": np.nan}, {"scale_factor": 0}, {"scale_factor": [1, 2]}]
-)
-def test_scales_that_cannot_be_are_refused_by_name(tmp_path, said):
+@pytest.mark.parametrize("scale", [np.nan, 0, [1, 2]])
+def test_scales_that_cannot_be_are_refused_by_name(tmp_path, scale):
     with hdf5(tmp_path / "a.h5") as file:
         file["b"] = np.ones((N, 3))
-        file["b"].attrs.update(said)
+        file["b"].attrs["scale_factor"] = scale
     assert unread(tmp_path / "a.h5")["b"].startswith("cannot be read (its scale_factor is [")
-
-
-@pytest.mark.parametrize(("fill", "rest"), [(-99, np.nan), (0, 0)])
-def test_fill_values_that_were_chosen_are_missing(tmp_path, fill, rest):
-    with hdf5(tmp_path / "a.h5") as file:
-        file.create_dataset("b", (N,), "i2", fillvalue=fill)[:4] = [1, 2, 3, 4]
-    np.testing.assert_array_equal(read(tmp_path / "a.h5", "b")[0], [1, 2, 3, 4, *[rest] * 4])
 
 
 def test_foreign_objects_of_hdf5_are_named_and_the_rest_is_read(tmp_path):
     h5py = needed("h5py")
     path = tmp_path / "a.h5"
     with hdf5(path) as file:
-        space, wide = h5py.h5s.create_simple((N,)), h5py.h5t.STD_I32LE.copy()
-        wide.set_precision(24)
-        wide.set_size(3)
+        space = h5py.h5s.create_simple((N,))
         h5py.h5d.create(file.id, b"moments", h5py.h5t.UNIX_D32LE.copy(), space)
-        h5py.h5d.create(file.id, b"integers", wide, space)
+        file.create_dataset("filled", (N,), "i2", fillvalue=-99)[:4] = VALUES[:4]
         file["empty"] = h5py.Empty("f8")
         file["complex"], file["cube"] = 1j * VALUES, np.zeros((4, 3, 2))
         file["scaled"] = VALUES
@@ -117,7 +92,6 @@ def test_foreign_objects_of_hdf5_are_named_and_the_rest_is_read(tmp_path):
     reasons = unread(path)
     starts = {
         "moments": "cannot be read (No NumPy equivalent",
-        "integers": "cannot be read (data type '<i3'",
         "empty": "is without samples: its space is null",
         "cube": "is an array of 4 x 3 x 2; export it as columns",
         "scaled": "cannot be read (could not convert string",
@@ -133,7 +107,7 @@ def test_foreign_objects_of_hdf5_are_named_and_the_rest_is_read(tmp_path):
         fields = [column.name for column in file.columns if column.name.startswith("table")]
         assert fields == ["table.in", "table.t", "table.a", "table.pair[0]", "table.pair[1]"]
         assert file.column("table.a").unit is None
-    np.testing.assert_array_equal(read(path, "a")[0], VALUES)
+    np.testing.assert_array_equal(read(path, "filled")[0], [*VALUES[:4], *[np.nan] * 4])
     np.testing.assert_array_equal(read(path, "table.pair[1]")[0], 0 * VALUES)
 
 
@@ -174,13 +148,11 @@ def test_cells_and_objects_of_matlab_7_3(tmp_path):
 
 def test_mat_files_of_version_7_3_are_hdf5(tmp_path):
     path = tmp_path / "a.mat"
-    with needed("h5py").File(path, "w", userblock_size=512) as file:
+    with hdf5_file(path) as file:
         file["trip/box"], file["trip/fs"] = VALUES[None], np.array([[500.0]])
         file["trip/unit"] = np.array([[ord(c)] for c in "m/s2"], dtype=np.uint16)
         file["trip/unit"].attrs["MATLAB_class"] = np.bytes_("char")
         file["trip/unit"].attrs["MATLAB_int_decode"] = 2
-    with path.open("r+b") as stream:
-        stream.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
     with open_file(path) as file:
         column = file.column("trip/box")
         assert (column.unit, column.rate_hz) == ("m/s2", 500.0)
@@ -321,7 +293,7 @@ def test_unit_and_rate_of_parquet_are_those_of_the_column(tmp_path):
 # universal files
 
 
-@pytest.mark.parametrize("n_declared", [5, N, 9])
+@pytest.mark.parametrize("n_declared", [5, 9])
 def test_points_that_universal_files_declare_count(tmp_path, n_declared):
     path = tmp_path / "a.uff"
     write_uff(path, {"a": VALUES})
@@ -339,10 +311,7 @@ def test_points_that_universal_files_declare_count(tmp_path, n_declared):
     [
         ({}, None, 4.0, None),
         ({"abscissa_axis_units_lab": "ms"}, None, 4000.0, None),
-        ({"abscissa_min": 2.5}, None, None, "s"),
         ({"abscissa_min": 2.5, "abscissa_axis_units_lab": "ms"}, None, None, "ms"),
-        ({"ordinate_axis_units_lab": "g", "units_code": 1}, "g", 4.0, None),
-        ({"units_code": 1}, "m/s2", 4.0, None),
         ({"units_code": 5}, "mm/s2", 4.0, None),
         ({"abscissa_axis_units_lab": "km"}, None, None, None),
     ],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,20 +14,10 @@ import numpy as np
 
 from suspnet.ground.extras import import_extra
 from suspnet.ground.findings import Finding, at
-from suspnet.trains.recordings.columns import OpenFile, is_vector, size_of
+from suspnet.trains.recordings import mat_files as mat
+from suspnet.trains.recordings.columns import OpenFile, size_of
 from suspnet.trains.recordings.dates import nanoseconds, read_date
 from suspnet.trains.recordings.errors import TripError
-from suspnet.trains.recordings.mat_files import (
-    MOST_COLUMNS,
-    MOST_NOTE_BYTES,
-    array_file,
-    open_mat_5,
-    plain_key,
-    siblings,
-    stated,
-    stated_nearby,
-    too_wide,
-)
 
 MOST_CHUNK_BYTES = 2**28
 """Largest packed chunk, which is unpacked whole to read a single sample."""
@@ -37,7 +27,7 @@ MISSING_NAMES = ("_FillValue", "missing_value")
 PACKING = (*MISSING_NAMES, *("scale_factor", "add_offset", "valid_min", "valid_max", "valid_range"))
 """Attributes of netCDF on missing samples, scale, offset and valid limits of stored numbers."""
 UNAPPLIED = (
-    *map(plain_key, PACKING),
+    *map(mat.plain_key, PACKING),
     *("gain", "scale", "scaling", "scalingfactor", "multiplier", "slope", "lsb", "sensitivity"),
     *("offset", "intercept", "calibration", "calibrationfactor"),
 )
@@ -55,7 +45,7 @@ def open_mat(path: Path) -> Iterator[OpenFile]:
     """Open a MAT file of any version; version 7.3 is HDF5."""
     with ExitStack() as stack:
         try:
-            file = stack.enter_context(open_mat_5(path))
+            file = stack.enter_context(mat.open_mat_5(path))
         except NotImplementedError:
             file = stack.enter_context(open_hdf5(path))
         yield file
@@ -68,16 +58,12 @@ def open_hdf5(path: Path) -> Iterator[OpenFile]:
     with h5py.File(path, "r", rdcc_nbytes=MOST_CHUNK_BYTES) as file:
         content = _Content(h5py, file)
         file.visititems(content.collect)  # h5py calls it for hard links only
-        # single values follow the vectors, as most describe one of them and are no signals
-        arrays = dict(sorted(content.arrays.items(), key=lambda item: max(item[1].shape) <= 1))
-        date = {k: value for k, value in stated(_attributes(file)).items() if k == "date"}
-        notes = {name: date | content.described(name) for name in arrays}
-        opened = array_file(path, arrays, notes, content.unread)
-        if content.unapplied:
-            unapplied = ", ".join(content.unapplied)
-            words = at(path.name, "attributes-not-applied", unapplied=unapplied)
-            opened = replace(opened, words=words)
-        yield opened
+        date = {k: value for k, value in mat.stated(_attributes(file)).items() if k == "date"}
+        notes = {name: date | content.described(name) for name in content.arrays}
+        opened = mat.array_file(path, content.arrays, notes, content.unread)
+        unapplied = ", ".join(content.unapplied)
+        words = at(path.name, "attributes-not-applied", unapplied=unapplied)
+        yield replace(opened, words=words if unapplied else "")
 
 
 class _Content:
@@ -95,7 +81,9 @@ class _Content:
         if not isinstance(item, self.h5py.Dataset) or name.startswith("#"):
             return
         try:
-            if why := foreign(item) or _no_data(item):
+            if words := _foreign(item):
+                self.unread[name] = Finding("as-plain-numbers", words=words)
+            elif why := _empty(item):
                 self.unread[name] = why
             elif self.h5py.check_ref_dtype(item.dtype) is self.h5py.Reference:
                 self._collect_cells(name, item)
@@ -103,13 +91,13 @@ class _Content:
                 self._collect_data(name, item)
         except Exception as error:  # types without an equivalent; HDF5 raises any error
             reason = " ".join(str(error).split())[:100]
-            self.unread[name] = _as_numbers(Finding("unreadable-as", reason=reason))
+            words = Finding("unreadable-as", reason=reason)
+            self.unread[name] = Finding("as-plain-numbers", words=words)
 
     def _collect_data(self, name: str, item: Any) -> None:
-        """Add a data set, or the fields of a table."""
         self.datasets[name] = item
         applied = () if item.dtype.names else PACKING
-        unapplied = (k for k in item.attrs if k not in applied and plain_key(k) in UNAPPLIED)
+        unapplied = (k for k in item.attrs if k not in applied and mat.plain_key(k) in UNAPPLIED)
         self.unapplied += [repr(f"{name}.{key}") for key in unapplied]
         if "MATLAB_empty" in item.attrs or "MATLAB_int_decode" in item.attrs:
             return
@@ -118,7 +106,7 @@ class _Content:
             self.datasets[place] = item
             if array.dtype.kind in "OSU" or len(array.shape) == 0:
                 continue  # a text or a single number describes something else
-            if why := too_wide(array.shape):
+            if why := mat.too_wide(array.shape):
                 self.unread[place] = why
             elif array.dtype.kind not in "iuf":
                 self.unread[place] = Finding("not-real", kind=array.dtype)
@@ -126,8 +114,7 @@ class _Content:
                 self.arrays[place] = array if fields else _packed(item, self.h5py)
 
     def _collect_cells(self, name: str, item: Any) -> None:
-        """Add the content of MATLAB's cells, to which references lead."""
-        if item.size > MOST_COLUMNS or name.count("[") >= MOST_CELLS:
+        if item.size > mat.MOST_COLUMNS or name.count("[") >= MOST_CELLS:
             raise ValueError("nested references")
         for i, reference in enumerate(item[()].ravel()):
             content = self.file[reference] if reference else None
@@ -139,15 +126,15 @@ class _Content:
 
     def described(self, name: str) -> dict[str, Any]:
         """Return rate, unit and start by a data set's attributes, or else by its group."""
-        own = stated(_attributes(self.datasets[name]))
+        own = mat.stated(_attributes(self.datasets[name]))
         if self.datasets[name].dtype.names is not None:
             own.pop("unit", None)  # a table has columns of several units
         small = {
             key: _value(dataset)
-            for key, dataset in siblings(name, self.datasets, "/").items()
-            if dataset.nbytes <= MOST_NOTE_BYTES
+            for key, dataset in mat.siblings(name, self.datasets, "/").items()
+            if dataset.nbytes <= mat.MOST_NOTE_BYTES
         }
-        known = stated_nearby(name, small) | self._times(name) | own
+        known = mat.stated_nearby(name, small) | self._times(name) | own
         since = _SINCE.match(known.get("unit", ""))
         if since and (start := read_date(since[2])):
             known |= {"unit": since[1], "start_ns": nanoseconds(start)}
@@ -159,32 +146,30 @@ class _Content:
         with suppress(Exception):
             scales = item.dims[int(np.argmax(item.shape))]
             times = scales[0].name.lstrip("/") if len(scales) else name
-            unit = str(stated(_attributes(self.datasets[times])).get("unit"))
+            unit = str(mat.stated(_attributes(self.datasets[times])).get("unit"))
             unit = unit.partition(" since ")[0]
             if times != name and times in self.arrays and size_of("time", unit):
                 return {"time": times}
         return {}
 
 
-def foreign(dataset: Any) -> str:
-    """Return which other files, plug-in or excess of memory a data set needs; "" if none."""
-    if dataset.is_virtual:
-        return _as_numbers(Finding("virtual"))
+def _foreign(dataset: Any) -> Finding | None:
+    """Return which other files, plug-in or excess of memory a data set needs."""
     plan = dataset.id.get_create_plist()
+    if dataset.is_virtual:
+        return Finding("virtual")
     if plan.get_external_count():
-        return _as_numbers(Finding("in-other-files"))
+        return Finding("in-other-files")
     filters = [plan.get_filter(i)[0] for i in range(plan.get_nfilters())]
-    others = [number for number in filters if number not in FILTERS]
-    if others:
-        return _as_numbers(Finding("packed-by-filter", number=others[0]))
+    if others := [number for number in filters if number not in FILTERS]:
+        return Finding("packed-by-filter", number=others[0])
     n_bytes = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize
     if filters and n_bytes > MOST_CHUNK_BYTES:
-        return _as_numbers(Finding("packed-in-pieces", n_bytes=n_bytes, most=MOST_CHUNK_BYTES))
-    return ""
+        return Finding("packed-in-pieces", n_bytes=n_bytes, most=MOST_CHUNK_BYTES)
+    return None
 
 
-def _no_data(dataset: Any) -> str:
-    """Return why a data set holds neither data nor references to it; empty if it does."""
+def _empty(dataset: Any) -> str:
     if dataset.shape is None:
         return Finding("null-space")
     if "MATLAB_object_decode" in dataset.attrs:
@@ -194,17 +179,12 @@ def _no_data(dataset: Any) -> str:
     return ""
 
 
-def _as_numbers(words: Finding) -> Finding:
-    return Finding("as-plain-numbers", words=words)
-
-
 def _attributes(dataset: Any) -> dict[str, Any]:
-    """Return the small attributes of a data set, or of a file."""
     attributes: dict[str, Any] = {}
     for key in dataset.attrs:
         # a type without an equivalent matters where it is the scale
         with suppress(*([] if key in PACKING else [Exception])):
-            if dataset.attrs.get_id(key).get_storage_size() <= MOST_NOTE_BYTES:
+            if dataset.attrs.get_id(key).get_storage_size() <= mat.MOST_NOTE_BYTES:
                 attributes[key] = dataset.attrs[key]
     return attributes
 
@@ -221,8 +201,6 @@ def _value(dataset: Any) -> Any:
 
 @dataclass(frozen=True)
 class _View:
-    """An array whose values are computed as they are read."""
-
     shape: tuple[int, ...]
     dtype: Any
     take: Callable[[Any], Any]
@@ -232,7 +210,6 @@ class _View:
 
 
 def _field(dataset: Any, name: str) -> _View:
-    """Return one field of a table, that is, of a data set of compounds."""
     kind, n = dataset.dtype[name], len(dataset.shape)
     return _View(
         (*dataset.shape, *kind.shape),
@@ -253,6 +230,11 @@ def _packed(dataset: Any, h5py: Any) -> Any:
     is_unsigned = dataset.dtype.kind == "i" and str(own.get("_Unsigned")).lower() == "true"
     if not numbers and not missing and not is_unsigned:
         return dataset
+    scale, offset = numbers.get("scale_factor", np.ones(1)), numbers.get("add_offset", np.zeros(1))
+    for name, value in (("scale_factor", scale), ("add_offset", offset)):
+        is_right = value.shape == (1,) and np.isfinite(value[0])
+        if not is_right or (name == "scale_factor" and value[0] == 0):
+            raise ValueError(f"its {name} is {value}")
 
     def as_stored(values: Any) -> Any:
         """Return values that samples are compared with, rounded and with the sign of these."""
@@ -267,28 +249,11 @@ def _packed(dataset: Any, h5py: Any) -> Any:
     ends = numbers.get("valid_min", limits)[0], numbers.get("valid_max", limits)[-1]
     lower, upper = (as_stored(np.array([end]))[0] if np.isfinite(end) else end for end in ends)
     left_out = np.concatenate([[np.nan], *map(as_stored, missing)])
-    across = 1 - int(np.argmax(dataset.shape))  # columns lie along the shorter axis
-    scale, offset = _scale_and_offset(dataset, numbers, across)
 
     def take(rows: Any) -> Any:
         stored = np.asarray(dataset[rows])
-        if is_unsigned:
-            stored = stored.astype(f"u{stored.dtype.itemsize}")
-        values = stored.astype(np.float64)
+        values = as_stored(stored.astype(np.float64))
         is_valid = (values >= lower) & (values <= upper) & ~np.isin(values, left_out)
-        a, b = (each[rows[across] if len(each) > 1 else 0] for each in (scale, offset))
-        return np.where(is_valid, values * a + b, np.nan)
+        return np.where(is_valid, values * scale[0] + offset[0], np.nan)
 
     return _View(dataset.shape, dataset.dtype, take)
-
-
-def _scale_and_offset(dataset: Any, numbers: Mapping[str, Any], across: int) -> tuple[Any, Any]:
-    """Return scale and offset, one for all columns or one each; ValueError if they are wrong."""
-    scale = numbers.get("scale_factor", np.ones(1))
-    offset = numbers.get("add_offset", np.zeros(1))
-    n_columns = 1 if is_vector(dataset.shape) else dataset.shape[across]
-    for name, values in (("scale_factor", scale), ("add_offset", offset)):
-        is_right = np.isfinite(values).all() and (values.all() or name == "add_offset")
-        if values.shape not in ((1,), (n_columns,)) or not is_right:
-            raise ValueError(f"its {name} is {values}")
-    return scale, offset

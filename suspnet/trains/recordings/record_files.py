@@ -6,6 +6,7 @@ import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +16,10 @@ from scipy.io import wavfile
 from suspnet.ground.extras import import_extra
 from suspnet.ground.findings import Finding
 from suspnet.trains.recordings.columns import (
-    BLOCK,
     Block,
     Column,
     OpenFile,
     Take,
-    as_block,
-    check_samples,
     size_of,
     slices,
 )
@@ -50,18 +48,17 @@ def open_uff(path: Path) -> Iterator[OpenFile]:
             is_times = name not in records
             record = file.read_sets(records[name.removesuffix(": times")])
             values = np.asarray(record["x" if is_times else "data"]).ravel()
-            n_declared = int(record["num_pts"])
-            if len(values) < n_declared:
-                sizes = {"n_declared": n_declared, "n_values": len(values)}
+            n, n_values = int(record["num_pts"]), len(values)
+            if n_values < n:
+                sizes = {"n_declared": n, "n_values": n_values}
                 raise TripError.at(path, "column-cut-off", name=repr(name), **sizes)
-            takes[name] = n_declared, values.__getitem__  # what follows fills up a line
+            takes[name] = n, values.__getitem__  # what follows fills up a line
         return slices(path, names, takes)
 
     yield OpenFile(tuple(columns), read)
 
 
 def _uff_columns(file: Any) -> tuple[list[Column], dict[str, int]]:
-    """Return the columns of a universal file, and their record numbers by name."""
     records: dict[str, int] = {}
     columns: list[Column] = []
     length = None
@@ -84,24 +81,20 @@ def _uff_record(name: str, header: Mapping[str, Any], length: str | None) -> Ite
     unit, along = (_text(header, f"{axis}_axis_units_lab") for axis in ("ordinate", "abscissa"))
     if not unit and length and header.get("ordinate_spec_data_type") == ACCELERATION:
         unit = f"{length}/s2"
-    refused = ""
+    about: dict[str, Any] = {"unit": unit or None, "date": _text(header, "id3") or None}
     if header.get("abscissa_spec_data_type") not in (None, 0, 1, TIME):  # 0, 1: unknown, general
-        refused = Finding("not-of-time")
+        about["unread"] = Finding("not-of-time")
     elif header.get("ord_data_type") in (5, 6):
-        refused = Finding("not-real", kind=np.dtype(complex))
-    date = _text(header, "id3") or None
-    about: dict[str, Any] = {"unit": unit or None, "date": date, "unread": refused}
+        about["unread"] = Finding("not-real", kind=np.dtype(complex))
     step_s = float(header.get("abscissa_inc") or 0.0) * (size_of("time", along or "s") or 0.0)
     if header.get("abscissa_spacing") == 1 and not float(header.get("abscissa_min") or 0.0):
         yield Column(name, rate_hz=1 / step_s if step_s > 0 else None, **about)
-        return
-    times = f"{name}: times"
-    yield Column(name, time=times, **about)
-    yield Column(times, unit=along or "s")
+    else:
+        yield Column(name, time=f"{name}: times", **about)
+        yield Column(f"{name}: times", unit=along or "s")
 
 
 def _text(header: Mapping[str, Any], key: str) -> str:
-    """Return a text of a header; empty where it is "NONE"."""
     text = str(header.get(key, "")).strip()
     return "" if text.upper() == "NONE" else text
 
@@ -119,22 +112,21 @@ def open_wav(path: Path) -> Iterator[OpenFile]:
                 raise
             stream.seek(0)
             rate_hz, data = wavfile.read(stream)  # 24 bits cannot be mapped to memory
-    check_samples(path, len(data))
     data = data[:, None] if data.ndim == 1 else data
     is_fraction = data.dtype.kind in "iu"
     zero = 128.0 if data.dtype.kind == "u" else 0.0
     full_scale = 2.0 ** (8 * data.dtype.itemsize - 1) if is_fraction else 1.0
     about: dict[str, Any] = {"is_fraction": is_fraction, "date": _bext_date(path)}
-    names = [f"channel_{i + 1}" for i in range(data.shape[1])]
-    columns = [Column(n, rate_hz=float(rate_hz), is_whole_rate=True, **about) for n in names]
+    columns, takes = [], dict[str, tuple[int, Take]]()
+    for i, values in enumerate(data.T):
+        name = f"channel_{i + 1}"
+        columns.append(Column(name, rate_hz=float(rate_hz), is_whole_rate=True, **about))
+        takes[name] = len(data), partial(_scaled, values, zero, full_scale)
+    yield OpenFile(tuple(columns), lambda names: slices(path, names, takes))
 
-    def read(chosen: Sequence[str]) -> Iterator[Block]:
-        places = [names.index(name) for name in chosen]
-        for start in range(0, len(data), BLOCK):
-            block = (as_block(data[start : start + BLOCK]) - zero) / full_scale
-            yield tuple(np.ascontiguousarray(block[:, i]) for i in places)
 
-    yield OpenFile(tuple(columns), read)
+def _scaled(values: Any, zero: float, full_scale: float, rows: slice) -> Any:
+    return (values[rows].astype(np.float64) - zero) / full_scale
 
 
 def _bext_date(path: Path) -> str | None:
