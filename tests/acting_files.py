@@ -142,13 +142,8 @@ def virtual(h5py, file, folder, source="{folder}/secret.h5"):
 
 
 def link(h5py, file, folder, target):
-    if target in ("/", "/x"):
-        file["a"] = h5py.ExternalLink(str(folder / "secret.h5"), target)
-    elif target == "loop":
-        file["a"], file["b"] = h5py.SoftLink("/b"), h5py.SoftLink("/a")
-    else:
-        file["b"] = h5py.ExternalLink(str(folder / "secret.h5"), "/")
-        file["a"] = h5py.SoftLink("/b/x")
+    file["b"] = h5py.ExternalLink(str(folder / "secret.h5"), target)
+    file["a"] = h5py.SoftLink("/b/x" if target == "/" else "/b")
 
 
 def plugin(h5py, file, _, number=32001):
@@ -158,14 +153,6 @@ def plugin(h5py, file, _, number=32001):
     space = h5py.h5s.create_simple((50,))
     h5py.h5d.create(file.id, b"a", h5py.h5t.NATIVE_DOUBLE, space, plan)
     h5py.Dataset(file["a"].id).id.write_direct_chunk((0,), A.tobytes())
-
-
-def references(h5py, file, _):
-    file["x"] = A
-    file.create_dataset("a", (2,), h5py.ref_dtype)[0] = file["x"].ref
-    file.create_dataset("b", (2,), h5py.regionref_dtype)[0] = file["x"].regionref[:9]
-    file.create_dataset("c", (2,), h5py.vlen_dtype("f8"))[0] = A
-    file["x"].attrs["unit"] = np.void(pickle.dumps(print))
 
 
 # MAT, TDMS, Parquet and others
@@ -305,13 +292,12 @@ ACTING = {
     },
     **{
         f"hdf5 link {target}": partial(hdf5, fill=partial(link, target=target))
-        for target in ("/", "/x", "loop", "through")
+        for target in ("/", "/x")
     },
     **{
         f"hdf5 plug-in {number}": partial(hdf5, fill=partial(plugin, number=number))
         for number in (305, 32001, 65535)
     },
-    "hdf5 references": partial(hdf5, fill=references),
     **{f"mat class {number}": partial(mat_class, number=number) for number in (3, 16, 17)},
     "mat pickle": mat_pickle,
     **{f"pickle as {suffix}": partial(pickled, suffix=suffix) for suffix in SUFFIXES},
@@ -326,7 +312,7 @@ ACTING = {
     **{f"link as {suffix}": partial(linked, suffix=suffix) for suffix in SUFFIXES},
 }
 HARMLESS = (
-    *("mdf xml laughs", "mdf xml entity", "mdf attachment", "mdf other file", "hdf5 references"),
+    *("mdf xml laughs", "mdf xml entity", "mdf attachment", "mdf other file"),
     *("tdms index", "tdms Formula", "tdms Python", "tdms Add", "tdms Table", "parquet extension"),
     *("mdf at second group", "mdf at master", "csv"),
 )

@@ -90,8 +90,7 @@ class _Content:
             else:
                 self._collect_data(name, item)
         except Exception as error:  # types without an equivalent; HDF5 raises any error
-            reason = " ".join(str(error).split())[:100]
-            words = Finding("unreadable-as", reason=reason)
+            words = Finding("unreadable-as", reason=" ".join(str(error).split())[:100])
             self.unread[name] = Finding("as-plain-numbers", words=words)
 
     def _collect_data(self, name: str, item: Any) -> None:
@@ -147,8 +146,8 @@ class _Content:
             scales = item.dims[int(np.argmax(item.shape))]
             times = scales[0].name.lstrip("/") if len(scales) else name
             unit = str(mat.stated(_attributes(self.datasets[times])).get("unit"))
-            unit = unit.partition(" since ")[0]
-            if times != name and times in self.arrays and size_of("time", unit):
+            is_time = size_of("time", unit.partition(" since ")[0])
+            if times != name and times in self.arrays and is_time:
                 return {"time": times}
         return {}
 
@@ -211,11 +210,11 @@ class _View:
 
 def _field(dataset: Any, name: str) -> _View:
     kind, n = dataset.dtype[name], len(dataset.shape)
-    return _View(
-        (*dataset.shape, *kind.shape),
-        kind.base,
-        lambda rows: dataset.fields(name)[rows[:n]][(slice(None), *rows[n:])],
-    )
+
+    def take(rows: Any) -> Any:
+        return dataset.fields(name)[rows[:n]][(slice(None), *rows[n:])]
+
+    return _View((*dataset.shape, *kind.shape), kind.base, take)
 
 
 def _packed(dataset: Any, h5py: Any) -> Any:
@@ -224,8 +223,7 @@ def _packed(dataset: Any, h5py: Any) -> Any:
     numbers = {key: np.array(own[key], np.float64, ndmin=1) for key in PACKING if key in own}
     missing = [numbers[name] for name in MISSING_NAMES if name in numbers]
     chosen = dataset.id.get_create_plist().fill_value_defined()
-    # 0 may be a sample as well
-    if chosen == h5py.h5d.FILL_VALUE_USER_DEFINED and dataset.fillvalue != 0:
+    if chosen == h5py.h5d.FILL_VALUE_USER_DEFINED and dataset.fillvalue != 0:  # 0 may be a sample
         missing.append(np.array([dataset.fillvalue], dtype=np.float64))
     is_unsigned = dataset.dtype.kind == "i" and str(own.get("_Unsigned")).lower() == "true"
     if not numbers and not missing and not is_unsigned:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy.io import wavfile
@@ -48,10 +48,10 @@ def open_uff(path: Path) -> Iterator[OpenFile]:
             is_times = name not in records
             record = file.read_sets(records[name.removesuffix(": times")])
             values = np.asarray(record["x" if is_times else "data"]).ravel()
-            n, n_values = int(record["num_pts"]), len(values)
-            if n_values < n:
-                sizes = {"n_declared": n, "n_values": n_values}
-                raise TripError.at(path, "column-cut-off", name=repr(name), **sizes)
+            n, held = int(record["num_pts"]), len(values)
+            if held < n:
+                column = repr(name)
+                raise TripError.at(path, "column-cut-off", name=column, n_declared=n, n_values=held)
             takes[name] = n, values.__getitem__  # what follows fills up a line
         return slices(path, names, takes)
 
@@ -116,7 +116,7 @@ def open_wav(path: Path) -> Iterator[OpenFile]:
     is_fraction = data.dtype.kind in "iu"
     zero = 128.0 if data.dtype.kind == "u" else 0.0
     full_scale = 2.0 ** (8 * data.dtype.itemsize - 1) if is_fraction else 1.0
-    about: dict[str, Any] = {"is_fraction": is_fraction, "date": _bext_date(path)}
+    about: dict[str, Any] = {"is_fraction": is_fraction, "date": _checked_date(path)}
     columns, takes = [], dict[str, tuple[int, Take]]()
     for i, values in enumerate(data.T):
         name = f"channel_{i + 1}"
@@ -129,14 +129,22 @@ def _scaled(values: Any, zero: float, full_scale: float, rows: slice) -> Any:
     return (values[rows].astype(np.float64) - zero) / full_scale
 
 
-def _bext_date(path: Path) -> str | None:
-    """Return the date of origin in a broadcast WAV file's chunk `bext`; None without one."""
+def _checked_date(path: Path) -> str | None:
+    """Return the date of a broadcast WAV file's chunk `bext`; ValueError if the data are cut off.
+
+    scipy does not say if data of 24 bits are.
+    """
+    date = None
     with path.open("rb") as stream:
-        stream.seek(12)  # after RIFF, size and WAVE
+        n_bytes = stream.seek(0, 2)
+        stream.seek(0)
+        order: Literal["big", "little"] = "big" if stream.read(12)[:4] == b"RIFX" else "little"
         while len(head := stream.read(8)) == 8:  # ends: each round advances
-            size = int.from_bytes(head[4:], "little")
+            size, start = int.from_bytes(head[4:], order), stream.tell()
+            if head[:4] == b"data" and n_bytes - start < size < 2**32 - 1:  # RF64 writes that
+                raise ValueError("its data are cut off")
             if head[:4] == b"bext":
                 text = stream.read(min(size, BEXT_DATE.stop))[BEXT_DATE].decode("ascii", "replace")
-                return f"{re.sub('[_:. ]', '-', text[:10])} {text[10:].strip()}"
-            stream.seek(size + size % 2, 1)
-    return None
+                date = f"{re.sub('[_:. ]', '-', text[:10])} {text[10:].strip()}"
+            stream.seek(start + size + size % 2)
+    return date
