@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from recording_files import needed, write_tdms
+from recording_files import hdf5_file, needed, write_tdms
 from scipy.io import savemat
 
 from suspnet.trains.recordings.formats import FORMATS
@@ -115,6 +115,44 @@ def mdf_attachment(folder: Path, *, embedded: bool) -> Path:
         )
         written = file.save(folder / "new.mf4", overwrite=True)
     return written.rename(folder / "data.mf4")
+
+
+# HDF5
+
+
+def hdf5(folder: Path, fill, suffix=".h5") -> Path:
+    """Write an HDF5 file that a function fills, and ``secret.h5`` beside it."""
+    h5py = needed("h5py")
+    with h5py.File(folder / "secret.h5", "w") as file:
+        file["x"] = np.full(200, SECRET)
+    with hdf5_file(folder / f"data{suffix}") as file:
+        fill(h5py, file, folder)
+    return folder / f"data{suffix}"
+
+
+def external(_, file, folder, name="{folder}/secret", shape=(200,)):
+    parts = [(name.format(folder=folder), 0, 8 * int(np.prod(shape)))]
+    file.create_dataset("a", shape, dtype="f8", external=parts)
+
+
+def virtual(h5py, file, folder, source="{folder}/secret.h5"):
+    layout = h5py.VirtualLayout((200,), "f8")
+    layout[:] = h5py.VirtualSource(source.format(folder=folder), "x", (200,))
+    file.create_virtual_dataset("a", layout)
+
+
+def link(h5py, file, folder, target):
+    file["b"] = h5py.ExternalLink(str(folder / "secret.h5"), target)
+    file["a"] = h5py.SoftLink("/b/x" if target == "/" else "/b")
+
+
+def plugin(h5py, file, _, number=32001):
+    plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    plan.set_chunk((50,))
+    plan.set_filter(number, h5py.h5z.FLAG_OPTIONAL, (1, 2))
+    space = h5py.h5s.create_simple((50,))
+    h5py.h5d.create(file.id, b"a", h5py.h5t.NATIVE_DOUBLE, space, plan)
+    h5py.Dataset(file["a"].id).id.write_direct_chunk((0,), A.tobytes())
 
 
 # MAT, TDMS, Parquet and others
@@ -238,6 +276,28 @@ ACTING = {
     **{f"mdf xml {name}": partial(mdf_comment, text=text) for name, text in XML.items()},
     "mdf attachment": partial(mdf_attachment, embedded=True),
     "mdf other file": partial(mdf_attachment, embedded=False),
+    **{
+        f"hdf5 external {name}": partial(hdf5, fill=partial(external, **how))
+        for name, how in {
+            "file": {},
+            "relative": {"name": "secret"},
+            "matrix": {"shape": (100, 2)},
+            "passwords": {"name": "/etc/passwd", "shape": (20,)},
+        }.items()
+    },
+    "mat 7.3 external": partial(hdf5, fill=external, suffix=".mat"),
+    **{
+        f"hdf5 virtual {source}": partial(hdf5, fill=partial(virtual, source=source))
+        for source in ("{folder}/secret.h5", "secret.h5", "{folder}/secret.h5%%", ".", "absent.h5")
+    },
+    **{
+        f"hdf5 link {target}": partial(hdf5, fill=partial(link, target=target))
+        for target in ("/", "/x")
+    },
+    **{
+        f"hdf5 plug-in {number}": partial(hdf5, fill=partial(plugin, number=number))
+        for number in (305, 32001, 65535)
+    },
     **{f"mat class {number}": partial(mat_class, number=number) for number in (3, 16, 17)},
     "mat pickle": mat_pickle,
     **{f"pickle as {suffix}": partial(pickled, suffix=suffix) for suffix in SUFFIXES},

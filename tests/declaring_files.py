@@ -13,12 +13,31 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from recording_files import needed, write_mdf, write_tdms
+from recording_files import hdf5_file, needed, write_mdf, write_tdms, write_uff
 
 from suspnet.trains.recordings.formats import FORMATS
 
 A = np.arange(50.0)
 ZEROS = 2**24
+
+
+# HDF5
+
+
+def hdf5(folder: Path, *, shape, suffix=".h5", **how) -> Path:
+    """Write a data set of which nothing is stored but its shape."""
+    with hdf5_file(folder / f"data{suffix}") as file:
+        file.create_dataset("a", shape, "f8", **how)
+    return folder / f"data{suffix}"
+
+
+def hdf5_note(folder: Path, *, size: int) -> Path:
+    """Write an attribute's neighbour, a text of gigabytes, beside a column."""
+    with hdf5_file(folder / "data.h5") as file:
+        file["g/a"] = A
+        file.create_dataset("g/unit", (1,), f"S{size}", chunks=None)
+        file.create_dataset("g/fs", (10**8,), "f8", chunks=(10**6,))
+    return folder / "data.h5"
 
 
 # MAT
@@ -83,7 +102,20 @@ def parquet_columns(folder: Path, *, n_columns: int) -> Path:
     return folder / "data.parquet"
 
 
-# TDMS, MDF, CSV
+# WAV
+
+
+def wav(folder: Path, *, n_bytes: int, bits: int = 16, form: int = 1) -> Path:
+    """Write a WAV file that is one hole."""
+    path, frame = folder / "data.wav", bits // 8
+    head = b"RIFF" + struct.pack("<I", n_bytes + 36) + b"WAVE"
+    head += b"fmt " + struct.pack("<IHHIIHH", 16, form, 1, 1000, 1000 * frame, frame, bits)
+    path.write_bytes(head + b"data" + struct.pack("<I", n_bytes))
+    os.truncate(path, path.stat().st_size + n_bytes)
+    return path
+
+
+# TDMS, MDF, UFF, CSV
 
 
 def patched(path: Path, old: bytes, new: bytes) -> Path:
@@ -146,6 +178,16 @@ def mdf_packed(folder: Path, *, size: int) -> Path:
     return folder / "data.mf4"
 
 
+def uff(folder: Path, *, n: int) -> Path:
+    """Write a universal file whose record declares n values."""
+    write_uff(folder / "data.uff", {"a": A})
+    content = (folder / "data.uff").read_bytes()
+    place = content.index(b"        50")
+    text = f"{n:10d}".encode()[-10:]
+    (folder / "data.uff").write_bytes(content[:place] + text + content[place + 10 :])
+    return folder / "data.uff"
+
+
 def csv_hole(folder: Path, *, text: str, size: int = 2**40) -> Path:
     """Write a CSV file that goes on with a hole."""
     (folder / "data.csv").write_text(text)
@@ -177,6 +219,12 @@ NOT_FILES = ("pipe", "folder", "socket", "loop", "/dev/zero", "/dev/random", "/d
 SUFFIXES = [".csv", *(suffixes[0] for suffixes in FORMATS)]
 ROWS = "t,a\n" + "".join(f"{i},{i}\n" for i in range(40_000))
 DECLARING = {
+    **{f"hdf5 of {n:.0e}": partial(hdf5, shape=(n,)) for n in (10**8, 10**11, 10**15)},
+    "hdf5 in chunks": partial(hdf5, shape=(10**11,), chunks=(10**5,), compression="gzip"),
+    "hdf5 matrix": partial(hdf5, shape=(3, 10**10)),
+    "hdf5 of one piece": partial(hdf5, shape=(10**8,), chunks=(10**8,), compression="gzip"),
+    "hdf5 notes": partial(hdf5_note, size=2**31 - 1),
+    "mat 7.3 of 1e+11": partial(hdf5, shape=(1, 10**11), suffix=".mat"),
     **{f"mat of {n:.0e}": partial(mat, n=n) for n in (10**8, 2 * 10**9)},
     "mat of rows": partial(mat, n=10**8, rows=3),
     "mat packed, 0.5 GB": partial(mat, n=6 * 10**7, packed_bytes=480_000_000),
@@ -190,6 +238,12 @@ DECLARING = {
     **{f"parquet of {n:.0e}": partial(parquet, n=n) for n in (10**8, 10**9)},
     "parquet of zeros": partial(parquet, n=2 * 10**8, kind="zero"),
     "parquet of columns": partial(parquet_columns, n_columns=2000),
+    **{
+        f"wav of {bits} bits, {form}": partial(wav, n_bytes=4 * 10**9, bits=bits, form=form)
+        for bits, form in ((16, 1), (24, 1), (32, 3))
+    },
+    "wav of 24 bits, 0.2 GB": partial(wav, n_bytes=3 * 6 * 10**7, bits=24),
+    **{f"uff of {n:.0e}": partial(uff, n=n) for n in (10**8, 9 * 10**9)},
     **{f"tdms of {n:.0e}": partial(tdms, n=n) for n in (10**9, 10**11, 2**63)},
     **{f"tdms with a hole, {n:.0e}": partial(tdms, n=n, hole=8 * n) for n in (10**8, 10**10)},
     **{f"mdf of {n:.0e}": partial(mdf, n=n) for n in (10**8, 10**11, 2**62)},
@@ -206,7 +260,7 @@ DECLARING = {
     },
 }
 WITHIN_BOUNDS = (
-    *("mdf packed, 1e+10", "mdf packed, 1e+15", "parquet of columns"),
-    *("tdms of 1e+09", "tdms of 1e+11"),
+    *("mdf packed, 1e+10", "mdf packed, 1e+15", "hdf5 notes", "parquet of columns"),
+    *("tdms of 1e+09", "tdms of 1e+11", "wav of 24 bits, 0.2 GB"),
 )
 """Those in which a column may be read: what is there of it is no longer than recordings are."""

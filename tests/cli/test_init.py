@@ -106,7 +106,7 @@ def test_units_and_rates_of_files_are_found(channels, tmp_path):
     assert [manifest.channels[name].unit for name in CHANNELS] == ["g", "m/s2", None]
 
 
-@pytest.mark.parametrize("suffix", [".tdms", ".mf4"])
+@pytest.mark.parametrize("suffix", [".tdms", ".mf4", ".uff"])
 def test_units_and_rates_of_logger_files_are_found(tmp_path, suffix):
     rng = np.random.default_rng(0)
     columns = {name: rng.normal(size=500) for name in ("Achslager", "Drehgestell")}

@@ -25,8 +25,10 @@ def read(path: Path, *columns: str | None) -> list[np.ndarray]:
     return [np.concatenate(parts) for parts in zip(*blocks, strict=True)]
 
 
-def named(suffix: str, name: str) -> str:
-    """Return how a file names the column that was written as `name`."""
+def named(suffix: str, name: str, place: int = 0) -> str:
+    """Return how a file names the column that was written as `name`, the nth of the file."""
+    if suffix == ".wav":
+        return f"channel_{place + 1}"
     return f"g/{name}" if suffix == ".tdms" else name
 
 
@@ -42,7 +44,7 @@ def test_columns_are_read_in_the_order_asked_for(tmp_path, monkeypatch, suffix, 
     a, t = np.arange(11).astype(kind), np.arange(11) * 0.5
     path = tmp_path / f"data{suffix.upper()}"
     WRITERS[suffix](path, {"t": t, "a": a, "other": t})
-    got_a, got_t = read(path, named(suffix, "a"), named(suffix, "t"))
+    got_a, got_t = read(path, named(suffix, "a", 1), named(suffix, "t"))
     np.testing.assert_array_equal(got_a, a.astype(np.float64))
     np.testing.assert_array_equal(got_t, t)
 
@@ -53,7 +55,7 @@ def test_column_may_be_left_out_if_it_is_the_only_one(tmp_path, suffix):
     WRITERS[suffix](path, {"t": np.arange(9.0), "a": -np.arange(9.0)})
     np.testing.assert_array_equal(read(path, named(suffix, "t"), None)[1], -np.arange(9.0))
     with pytest.raises(
-        TripError, match=r"say which `column` to read; there are \['.*[ta]', '.*[ta]'\]"
+        TripError, match=r"say which `column` to read; there are \['.*[ta1]', '.*[ta2]'\]"
     ):
         read(path, None)
 
@@ -63,7 +65,7 @@ def test_missing_column_is_named(tmp_path, suffix):
     path = tmp_path / f"data{suffix}"
     WRITERS[suffix](path, {"t": np.arange(9.0), "a": np.arange(9.0)})
     with pytest.raises(
-        TripError, match=r"data.* has no column 'b' .*it has \[.*'.*[ta]', '.*[ta]'\]"
+        TripError, match=r"data.* has no column 'b' .*it has \[.*'.*[ta1]', '.*[ta2]'\]"
     ):
         read(path, "b")
 

@@ -25,8 +25,14 @@ SECONDS, WALL_SECONDS = 10.0, 60.0
 The longest are 500 MB of packed zeros, unpacked twice; the first file starts the reader."""
 MOST_OWN_BYTES, MOST_READER_BYTES = 0.6e9, 1.7e9
 """Largest memory of the process that asks and of a reader, their libraries (0.2 GB) included."""
-FEW_ACTING = ("mdf system", "mdf 3.30", "tdms index")
-FEW_DECLARING = ("mat of 1e+08", "parquet of 1e+09", "pipe as .csv", "mdf of 1e+11")
+FEW_ACTING = (
+    *("mdf system", "mdf 3.30", "tdms index", "hdf5 external file", "hdf5 link /x"),
+    *("hdf5 virtual secret.h5", "hdf5 plug-in 32001", "mat 7.3 external"),
+)
+FEW_DECLARING = (
+    *("mat of 1e+08", "parquet of 1e+09", "pipe as .csv", "mdf of 1e+11", "hdf5 of 1e+11"),
+    *("hdf5 of one piece", "wav of 16 bits, 1", "uff of 9e+09"),
+)
 
 
 @pytest.fixture
@@ -98,7 +104,7 @@ def test_all_files_do_nothing_in_bounded_memory(tmp_path, bait, payloads, harmle
         [sys.executable, script, str(SECRET), *map(str, paths.values())],
         capture_output=True,
         text=True,
-        env=os.environ | {"PYTHONPATH": path},
+        env=os.environ | {"PYTHONPATH": path, "HDF5_PLUGIN_PATH": str(bait)},
         check=False,
     )
     assert done.returncode == 0, done.stderr[-2000:]

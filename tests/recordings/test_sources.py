@@ -6,15 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recording_files import WRITERS, needed, opened
-from scipy.io import savemat
+from scipy.io import savemat, wavfile
 
 from suspnet.trains.recordings.columns import size_of, unit_in_name
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.formats import READERS, open_columns, open_file
+from suspnet.trains.recordings.hdf5_files import open_hdf5
 from suspnet.trains.recordings.logger_files import open_mdf, open_tdms
 from suspnet.trains.recordings.manifest_sources import SensorSource, SpeedSource
+from suspnet.trains.recordings.record_files import open_uff
 
-STATING = (".tdms", ".mf4")
+STATING = (".h5", ".tdms", ".mf4", ".uff")
 """Formats in which unit and rate may stand."""
 
 
@@ -84,6 +86,26 @@ def test_speed_has_units_of_its_own(tmp_path):
     refuses(path, SensorSource(path.name), "says 'knots'")
 
 
+@pytest.mark.parametrize(
+    ("dtype", "level", "full"), [("int16", 0, 2**15), ("int32", 0, 2**31), ("uint8", 128, 2**7)]
+)
+def test_integers_of_wav_files_are_fractions_of_range(tmp_path, dtype, level, full):
+    path = tmp_path / "data.wav"
+    values = (level + full * np.array([[0.5, 0], [-0.25, 0]])).astype(dtype)
+    wavfile.write(path, 1000, values)
+    with opened(path, SensorSource(path.name, "g", "channel_1", range=4.0)) as source:
+        (block,) = source.blocks()
+        np.testing.assert_allclose(source.size * block[0], 9.80665 * np.array([2.0, -1.0]))
+        assert source.full_scale == pytest.approx(4 * 9.80665)
+        assert source.rate_hz == 1000.0
+    without = SensorSource("data.wav", "g", "channel_1")
+    refuses(path, without, "'channel_1' holds integers, which are fractions of full scale")
+    with opened(
+        path, SensorSource(path.name, "g", "channel_1", rate_hz=1000.4, range=1.0)
+    ) as source:
+        assert source.rate_hz == 1000.4  # a WAV file holds whole numbers
+
+
 def test_structs_and_matrices_have_columns(tmp_path):
     path = tmp_path / "data.mat"
     box = {"data": np.arange(4.0), "fs": 500.0, "units": "m/s^2"}
@@ -103,6 +125,8 @@ def test_structs_and_matrices_have_columns(tmp_path):
     [
         (".mf4", open_mdf, "asammdf", "mdf"),
         (".tdms", open_tdms, "nptdms", "tdms"),
+        (".uff", open_uff, "pyuff", "uff"),
+        (".h5", open_hdf5, "h5py", "hdf5"),
     ],
 )
 def test_missing_extra_is_named(tmp_path, monkeypatch, suffix, reader, module, extra):

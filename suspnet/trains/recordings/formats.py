@@ -12,10 +12,11 @@ from suspnet.ground.storage import open_plain
 from suspnet.trains.recordings.columns import BLOCK, Block, OpenFile, Reader, check_samples, choose
 from suspnet.trains.recordings.csv_files import open_csv, open_parquet
 from suspnet.trains.recordings.errors import TripError, opening
+from suspnet.trains.recordings.hdf5_files import open_hdf5, open_mat
 from suspnet.trains.recordings.logger_files import open_mdf, open_tdms
 from suspnet.trains.recordings.manifest_sources import CsvDialect
-from suspnet.trains.recordings.mat_files import open_mat
 from suspnet.trains.recordings.reader_process import in_own_process
+from suspnet.trains.recordings.record_files import open_uff, open_wav
 
 
 @contextmanager
@@ -96,9 +97,12 @@ def _named(path: Path) -> Iterator[None]:
 CSV_SUFFIXES = (".csv", ".txt", ".tsv", ".asc")
 FORMATS: dict[tuple[str, ...], tuple[Reader, str | None]] = {
     (".parquet",): (open_parquet, "pandas"),  # Arrow imports it for its first array
-    (".mat",): (open_mat, "scipy.io"),
+    (".mat",): (open_mat, "h5py"),
+    (".h5", ".hdf5"): (open_hdf5, "h5py"),
     (".tdms",): (open_tdms, "nptdms"),
     (".mf4", ".mdf"): (open_mdf, "asammdf"),
+    (".uff", ".unv"): (open_uff, "pyuff"),
+    (".wav",): (open_wav, None),
 }
 """Readers of binary files and the packages that they import, by suffixes: they run in confined
 processes, as binary files declare sizes and may crash a library."""

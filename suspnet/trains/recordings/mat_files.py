@@ -1,4 +1,4 @@
-"""Columns of MAT files before version 7.3: vectors, columns of matrices, fields of structs."""
+"""Columns of MAT files before version 7.3, and of arrays: vectors, columns of matrices, fields."""
 
 from __future__ import annotations
 
@@ -39,17 +39,18 @@ MOST_COLUMNS = 1000
 """Largest number of columns of a matrix, and of cells of a variable."""
 MOST_NOTE_BYTES = 2**12
 """Largest size of a text that may be a unit or a date."""
-_OTHER_KIND = re.compile(r"(.*\.)?(t|v|[^.]*(time|zeit|speed|geschw|veloc)[^.]*)")
+_OTHER_KIND = re.compile(r"(.*[./])?(t|v|[^./]*(time|zeit|speed|geschw|veloc)[^./]*)")
 """Names of times and speeds, in lower case."""
 
 
 @contextmanager
-def open_mat(path: Path) -> Iterator[OpenFile]:
-    """Open a MAT file; its variables are read whole."""
+def open_mat_5(path: Path) -> Iterator[OpenFile]:
+    """Open a MAT file before version 7.3; its variables are read whole.
+
+    Raises NotImplementedError if it is of version 7.3.
+    """
     try:
         variables = [row for row in whosmat(path, appendmat=False) if not row[0].startswith("__")]
-    except NotImplementedError as error:
-        raise TripError.at(path, "mat-too-new") from error
     except TypeError as error:  # an object of MATLAB has no shape
         raise TripError.at(path, "matlab-objects") from error
     # variables of numbers are loaded when read; all others now, as they may hold or state something
@@ -76,16 +77,18 @@ def open_mat(path: Path) -> Iterator[OpenFile]:
         for name, leaf in leaves.items()
         if np.asarray(leaf).dtype.kind not in "OSU"
     }
-    too_wide = [name for name, array in columns.items() if not _is_table(array.shape)]
-    for name in too_wide:
-        refused[name] = Finding("is-an-array", shape=" x ".join(map(str, columns.pop(name).shape)))
+    refused |= {name: why for name, array in columns.items() if (why := too_wide(array.shape))}
+    columns = {name: array for name, array in columns.items() if name not in refused}
     # values next to an array state its rate, unit and start
-    notes = {name: _stated_nearby(name, leaves) for name in columns}
-    yield _opened(path, columns, notes, refused)
+    notes = {name: stated_nearby(name, siblings(name, leaves, ".")) for name in columns}
+    yield array_file(path, columns, notes, refused)
 
 
-def _is_table(shape: tuple[int, ...]) -> bool:
-    return is_vector(shape) or (len(shape) <= 2 and min(shape) <= MOST_COLUMNS)
+def too_wide(shape: tuple[int, ...]) -> str:
+    """Return why an array is no vector, nor a matrix of a few columns; empty if it is."""
+    if is_vector(shape) or (len(shape) <= 2 and min(shape) <= MOST_COLUMNS):
+        return ""
+    return Finding("is-an-array", shape=" x ".join(map(str, shape)))
 
 
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
@@ -118,7 +121,7 @@ class _Variable:
         return self.values[rows]
 
 
-def _opened(
+def array_file(
     path: Path,
     arrays: Mapping[str, Any],
     notes: Mapping[str, Mapping[str, Any]],
@@ -129,7 +132,7 @@ def _opened(
     takes: dict[str, tuple[int, Take]] = {}
     for name, array in arrays.items():
         shape = array.shape
-        is_rate = max(shape) == 1 and _plain(name.rpartition(".")[2]) in RATE_NAMES
+        is_rate = max(shape) == 1 and plain_key(re.split("[./]", name)[-1]) in RATE_NAMES
         if is_rate or min(shape) == 0:
             continue
         axis = int(np.argmax(shape))  # time is the longest axis
@@ -157,22 +160,38 @@ def _take(array: Any, axis: int, i: int) -> Take:
     return lambda rows: array[(*before, rows, *after)]
 
 
-def _plain(key: str) -> str:
+def plain_key(key: str) -> str:
+    """Return a name as those of rates, units and dates are compared."""
     return re.sub(r"[\s_]", "", key).lower()
 
 
-def _stated_nearby(name: str, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return rate, unit and date in the struct or file of an array, as arguments of `Column`."""
-    stated: dict[str, Any] = {}
-    for place, value in values.items():
-        array, plain = np.asarray(value), _plain(place.rpartition(".")[2])
-        if place.rpartition(".")[0] != name.rpartition(".")[0] or array.size != 1:
+def siblings(name: str, values: Mapping[str, Any], separator: str) -> dict[str, Any]:
+    """Return the values of the same struct, group or file as an array, by their names in it."""
+    parent = name.rpartition(separator)[0]
+    split = ((place.rpartition(separator), value) for place, value in values.items())
+    return {last: value for (first, _, last), value in split if first == parent}
+
+
+def stated(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return rate, unit and date among named values, as arguments of `Column`."""
+    known: dict[str, Any] = {}
+    for key, value in values.items():
+        array, plain = np.asarray(value), plain_key(key)
+        if array.size != 1:
             continue
-        if plain in RATE_NAMES and array.dtype.kind in "iuf" and 0 < array.item() < 1e9:
-            stated["rate_hz"] = float(array.item())
-        elif plain in (*UNIT_NAMES, *DATE_NAMES) and str(array.item()).strip():
-            stated["unit" if plain in UNIT_NAMES else "date"] = str(array.item()).strip()
-    # times and speeds have no unit of acceleration
-    if _OTHER_KIND.fullmatch(name.lower()) and size_of("acceleration", stated.get("unit")):
-        stated.pop("unit")
-    return stated
+        content = array.item()
+        if plain in RATE_NAMES and array.dtype.kind in "iuf" and 0 < content < 1e9:
+            known["rate_hz"] = float(content)
+        elif plain in (*UNIT_NAMES, *DATE_NAMES):
+            text = content.decode("utf-8", "replace") if isinstance(content, bytes) else content
+            if isinstance(text, str) and text.strip():
+                known["unit" if plain in UNIT_NAMES else "date"] = text.strip()
+    return known
+
+
+def stated_nearby(name: str, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what values next to an array state; times and speeds have no unit of acceleration."""
+    known = stated(values)
+    if _OTHER_KIND.fullmatch(name.lower()) and size_of("acceleration", known.get("unit")):
+        known.pop("unit")
+    return known
