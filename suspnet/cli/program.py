@@ -68,7 +68,8 @@ REMOVED = {
         "is gone: plan.risk and bundle_days set what is done when"
     ),
     re.compile(r"'(?:\w+/)?(sensitivity)"): (
-        "is gone: benchmarks/paper_exhibits.py RUN draws Fig. 11, and -m data.snr_db=26,34,54 lists errors"
+        "is gone: benchmarks/paper_exhibits.py RUN draws Fig. 11, and -m data.snr_db=26,34,54 "
+        "lists errors"
     ),
     re.compile(r"override '(token_file)'"): (
         "is gone: the environment variable SUSPNET_API_TOKEN_FILE names the file"
