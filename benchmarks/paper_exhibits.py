@@ -19,6 +19,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import matplotlib as mpl
+import paper_figures
 import torch
 from cells import Parser
 from matplotlib.figure import Figure
@@ -177,11 +178,11 @@ def _figures(model: TrainedModel, noisy: Rows) -> dict[str, Figure]:
     values = features.extract(curve, bins).values[0].tolist()
     peaks = dict(zip(features.names, values, strict=True))
     return {
-        "fig03": plots.quarter_car(model.vehicle),
-        "fig05": plots.bode(model.generator, bins),
+        "fig03": paper_figures.quarter_car(model.vehicle),
+        "fig05": paper_figures.bode(model.generator, bins),
         "fig06": plots.peak_fits(bins.numpy(), curve[0].numpy(), peaks),
-        "fig07": plots.degradation(model.generator, bins),
-        "fig11": plots.sensitivity(noisy),
+        "fig07": paper_figures.degradation(model.generator, bins),
+        "fig11": paper_figures.sensitivity(noisy),
     }
 
 

@@ -1,6 +1,8 @@
 """Every plot gives a Figure that can be drawn, with the right axes and finite data."""
 
 import math
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +13,9 @@ from matplotlib.figure import Figure
 from suspnet.curves.extraction import PeakFeatures
 from suspnet.runs import plots
 from suspnet.runs.tables import table6_records
+
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
+paper_figures = pytest.importorskip("paper_figures", reason="needs benchmarks")
 
 FREQUENCIES = 0.1 + 0.05 * torch.arange(398, dtype=torch.float64)
 NAMES = ("k_p", "c_p")
@@ -56,7 +61,7 @@ def assert_drawn(figure, n_axes):
 
 
 def test_bode_shows_decibels_and_degrees_of_both_responses(quarter_car):
-    figure = plots.bode(quarter_car, FREQUENCIES)
+    figure = paper_figures.bode(quarter_car, FREQUENCIES)
     assert_drawn(figure, 4)
     magnitude_p, magnitude_s, phase_p, phase_s = (axis.lines[0].get_ydata() for axis in figure.axes)
     curves = quarter_car.magnitudes(torch.ones(1, 5), FREQUENCIES)[0].numpy()
@@ -68,7 +73,7 @@ def test_bode_shows_decibels_and_degrees_of_both_responses(quarter_car):
 
 
 def test_model_shows_its_parameters_in_si_units(quarter_car):
-    figure = plots.quarter_car(quarter_car.vehicle)
+    figure = paper_figures.quarter_car(quarter_car.vehicle)
     assert_drawn(figure, 1)
     texts = " ".join(text.get_text().replace("\n", " ") for text in figure.axes[0].texts)
     for words in ("$k_p$ 1,300,000 N/m", "$c_s$ 22,600 N s/m", "bogie $M_p$ 1,725 kg"):
@@ -76,7 +81,7 @@ def test_model_shows_its_parameters_in_si_units(quarter_car):
 
 
 def test_degradation_shows_three_curves_of_each_parameter_and_response(quarter_car):
-    figure = plots.degradation(quarter_car, FREQUENCIES)
+    figure = paper_figures.degradation(quarter_car, FREQUENCIES)
     assert_drawn(figure, 10)
     assert [len(axis.lines) for axis in figure.axes] == [3] * 10
     # neither k_p nor c_p changes G_s, everything else changes what it is plotted for
@@ -131,14 +136,14 @@ def test_a_bound_that_is_infinite_is_not_drawn():
     unknown = {"bound": {"k_s": dict.fromkeys(("mape_percent", "rmse"))}}
     runs = [run("msvr", ("k_s",), snr) | unknown for snr in (54.0, 34.0)]
     assert not any(map(len, line_data(plots.table6(table6_records(runs[:1])))))
-    measured, bound, *_ = plots.sensitivity(runs).axes[0].lines
+    measured, bound, *_ = paper_figures.sensitivity(runs).axes[0].lines
     assert np.isnan(np.array(bound.get_ydata(), float)).all()
     assert np.isfinite(measured.get_ydata()).all()
 
 
 def test_sensitivity_shows_each_model_against_the_precision():
     runs = [run(model, NAMES, snr) for model in ("msvr", "linear") for snr in (54.0, 34.0, 26.0)]
-    figure = plots.sensitivity(runs)
+    figure = paper_figures.sensitivity(runs)
     assert_drawn(figure, 2)
     first, _, second, *_ = figure.axes[0].lines
     assert [first.get_label(), second.get_label()] == ["$k_p$", "$c_p$"]

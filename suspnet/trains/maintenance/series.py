@@ -251,14 +251,6 @@ def car_of(series: Series) -> tuple[str, ...]:
     return series.vehicle, place.train, place.car, "" if place.car else place.suspension
 
 
-def of_same_car(several: Sequence[Series]) -> list[list[Series]]:
-    """Return the suspensions of each car that has several."""
-    cars: dict[tuple[str, ...], list[Series]] = {}
-    for series in several:
-        cars.setdefault(car_of(series), []).append(series)
-    return [sisters for sisters in cars.values() if len(sisters) > 1]
-
-
 def make_series(
     mileage_km: ArrayLike,
     estimates: Mapping[str, ArrayLike],
