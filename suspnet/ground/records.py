@@ -11,15 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.ground.findings import (
-    NO_PART,
-    Finding,
-    kind_is,
-    parts_of,
-    restored,
-    stored,
-    together,
-)
+from suspnet.ground.findings import Finding, restored, stored, together
 from suspnet.ground.parameters import (
     BODY_MASS,
     BOGIE_PARTS,
@@ -130,17 +122,6 @@ class Quality:
     wheels: str = ""
     sensors: str = ""
 
-    @property
-    def no_part(self) -> str:
-        """Why the parts of the bogie were not read; empty if they were, or were not asked for."""
-        reasons = (w.values["words"] for w in parts_of(self.warnings) if kind_is(w, NO_PART))
-        return next(map(str, reasons), "")
-
-    @property
-    def other_warnings(self) -> str:
-        """The warnings without that of `no_part`."""
-        return together(w for w in parts_of(self.warnings) if not kind_is(w, NO_PART))
-
 
 @dataclass(frozen=True, eq=False)
 class TripCurves:
@@ -185,8 +166,8 @@ class TripResult:
         Mileage of the first healthy trip of the commissioning; NaN for a nominal vehicle.
     healthy_si : dict of float, [N/m, N s/m, kg]
         Value of each parameter at a ratio of 1 in `raw`.
-    flags, sides, worn : str
-        Findings: flags of the estimate, the weaker side of each pair, and worn parts (``WORN``).
+    flags, worn : str
+        Findings: flags of the estimate, and worn parts (``WORN``).
     seconds : float, [s]
         Duration of the evaluation.
     """
@@ -207,7 +188,6 @@ class TripResult:
     healthy_si: dict[str, float] = field(default_factory=dict)
     healthy_half_widths: dict[str, float] = field(default_factory=dict)
     flags: str = ""
-    sides: str = ""
     worn: str = ""
     quality: Quality = field(default_factory=Quality)
     seconds: float = 0.0
@@ -254,7 +234,7 @@ class TripResult:
             ),
             *("healthy_since_km", "temperature_c"),
             *QUALITY_TYPES,
-            *("sides", "worn", "seconds", "manifest"),
+            *("worn", "seconds", "manifest"),
         ]
         return {name: flat[name] for name in columns}
 
@@ -270,9 +250,9 @@ EVENT_KINDS = ("exchanged", "reprofiled", SENSOR, "other")
 """Kinds of maintenance: a part exchanged, wheels reprofiled, a sensor replaced, or other work that
 the text names."""
 NUMBERS = ("mileage_km", "healthy_since_km", "temperature_c", "seconds")
-TEXTS = ("trip", "start", "flags", "status", "reason", "sides", "worn", "manifest")
+TEXTS = ("trip", "start", "flags", "status", "reason", "worn", "manifest")
 """Columns of a trip's numbers and texts, named as in ``TripResult``."""
-FOUND = ("flags", "reason", "sides", "worn")
+FOUND = ("flags", "reason", "worn")
 """Those texts that are findings."""
 VALUES = {
     "estimates": "{}",

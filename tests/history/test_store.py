@@ -246,7 +246,6 @@ def test_a_store_of_an_older_version_is_brought_to_this_one(version, place, by_h
         with History(place, must_exist=True) as store:
             (found,) = store.read(before.vehicle, before.place)
             assert found.quality.warnings == was["warnings"]
-            assert found.quality.no_part == "too short; as it is"
             assert found.worn == was.get("worn", "")
             assert worn_entries(found.worn) == [
                 (("c_p_axle2_left",), "over 1000 : 1"),

@@ -18,7 +18,6 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, SQLAlch
 
 from suspnet.ground.extras import install_command
 from suspnet.ground.findings import (
-    NO_PART,
     WITHOUT_SENSORS,
     WORN,
     WORN_ONE_OF,
@@ -246,7 +245,6 @@ def upsert(connection: Connection, table: sql.Table, rows: Sequence[dict[str, An
 FINDINGS = 9
 """Version from which findings are stored as kind and values; before, as sentences."""
 _WORN = re.compile(r"([^;]+?) at ([\d.e+]+) % of healthy \(odds (over )?([\d.]+) : 1(, [^;)]*)?\)")
-_NO_PART = "no part is named: "
 _FAILING = re.compile(
     r"(?:^|; )([\w ]+): ((?:(dead) and left out|loose from) .*?)(?=; [a-z_]+(?: [\w ]+)?: |$)"
 )
@@ -255,7 +253,7 @@ _PARTS = {part_words(name): name for name in BOGIE_PARTS}
 
 
 def store_findings(connection: Connection) -> None:
-    """Turn the sentences on worn parts, why none is named, and failing sensors into findings.
+    """Turn the sentences on worn parts and on failing or lost sensors into findings.
 
     All other sentences stay as they are: nothing looks into them, and pages show them in English.
     """
@@ -288,14 +286,13 @@ def worn_findings(worn: str) -> str:
 
 
 def warning_findings(warnings: str) -> str:
-    """Return the column of warnings, of which some say which parts or sensors are not read."""
-    others, mark, why = warnings.partition(_NO_PART)
+    """Return the column of warnings, of which some say which sensors parts are read without."""
     findings: list[str] = []
-    for sentence in filter(None, others.removesuffix("; ").split("; ")):
+    for sentence in filter(None, warnings.split("; ")):
         names = sentence.removeprefix(_WITHOUT)
         values = {"names": tuple(names.split(", ")), "listed": names}
         findings.append(sentence if names == sentence else Finding(WITHOUT_SENSORS, **values))
-    return stored(together([*findings, Finding(NO_PART, words=why)] if mark else findings))
+    return stored(together(findings))
 
 
 def fault_findings(faults: str) -> str:
