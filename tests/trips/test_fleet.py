@@ -20,6 +20,7 @@ from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
+from suspnet.ground.records import NO_ESTIMATE
 from suspnet.ground.storage import read_arrays, read_plain
 from suspnet.trains.jobs import fleet
 from suspnet.trains.jobs.fleet import FleetSettings, evaluate_fleet
