@@ -234,23 +234,14 @@ def test_a_store_of_an_older_version_is_brought_to_this_one(version, place, by_h
     for column in (name for old in range(version, SCHEMA) for name in NEW_COLUMNS[old]):
         by_hand(sqlalchemy.text(f"ALTER TABLE trips DROP COLUMN {column}"))
     by_hand(sqlalchemy.text(f"UPDATE suspnet_version SET schema = {version}"))
-    was = {"warnings": "loose; no part is named: too short; as it is"}
-    if version > 6:
-        was["worn"] = (
-            "damper of axle 2, left at 62 % of healthy (odds over 1000 : 1); secondary spring, "
-            "left or secondary spring, right at 93.1 % of healthy (odds 30 : 1, which of them is "
-            "not known)"
-        )
+    was = {"warnings": "loose; no part is named: too short", "worn": "k_s left"}
     by_hand(trips.update().values(was))
     for _ in range(2):
         with History(place, must_exist=True) as store:
             (found,) = store.read(before.vehicle, before.place)
             assert found.quality.warnings == was["warnings"]
-            assert found.worn == was.get("worn", "")
-            assert worn_entries(found.worn) == [
-                (("c_p_axle2_left",), "over 1000 : 1"),
-                (("k_s_left", "k_s_right"), "30 : 1"),
-            ] * (version > 6)
+            assert found.worn == was["worn"]
+            assert worn_entries(found.worn) == []
             quality = replace(found.quality, warnings=before.quality.warnings)
             assert same(replace(found, worn="", quality=quality), before)
     estimates = before.estimates | dict.fromkeys(BOGIE_PARTS, 0.9)

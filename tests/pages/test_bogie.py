@@ -241,8 +241,8 @@ def test_part_that_is_named_is_marked_with_its_odds_though_it_is_within_its_limi
     assert label.endswith(", worn, odds 400 : 1")
 
 
-def test_verdict_is_that_of_the_newest_trip_whose_parts_were_read(results):
-    unread = replace(results[-1], estimates={"k_p": 1.0}, worn="")
+def test_verdict_is_that_of_the_newest_trip_with_an_estimate(results):
+    unread = replace(results[-1], estimates={}, worn="")
     assert drawn([*results[:-1], unread])[1].groups
 
 
