@@ -157,15 +157,13 @@ class TripResult:
         Empty if there is an estimate.
     estimates, truth : dict of float, [-]
         Parameters relative to healthy, and those of simulated trips.
-    raw : dict of float, [-]
-        Parameters relative to the vehicle's nominal ones.
     half_widths, healthy_half_widths : dict of float, [-]
         Intervals in logarithms, from estimate * exp(-half width) to estimate * exp(half width), and
         those of the healthy values; NaN if the model has no intervals.
     healthy_since_km : float, [km]
         Mileage of the first healthy trip of the commissioning; NaN for a nominal vehicle.
     healthy_si : dict of float, [N/m, N s/m, kg]
-        Value of each parameter at a ratio of 1 in `raw`.
+        Value of each parameter at a ratio of 1 in `estimates`.
     flags, worn : str
         Findings: flags of the estimate, and worn parts (``WORN``).
     seconds : float, [s]
@@ -181,7 +179,6 @@ class TripResult:
     status: str = OK
     reason: str = ""
     estimates: dict[str, float] = field(default_factory=dict)
-    raw: dict[str, float] = field(default_factory=dict)
     truth: dict[str, float] = field(default_factory=dict)
     half_widths: dict[str, float] = field(default_factory=dict)
     healthy_since_km: float = np.nan
@@ -205,7 +202,7 @@ class TripResult:
 
         The interval includes the uncertainty of the healthy value, assumed independent.
         """
-        value = self.raw.get(name, np.nan) * self.healthy_si.get(name, np.nan)
+        value = self.estimates.get(name, np.nan) * self.healthy_si.get(name, np.nan)
         half = np.hypot(
             self.half_widths.get(name, np.nan), self.healthy_half_widths.get(name, np.nan)
         )
@@ -226,7 +223,7 @@ class TripResult:
             *PLACE,
             *outputs,
             *(f"{name}_{end}" for name in outputs for end in ("low", "high")),
-            *(f"{name}_{kind}" for kind in ("raw", "truth") for name in outputs),
+            *(f"{name}_truth" for name in outputs),
             *(
                 f"{SI_COLUMNS[n]}{end}"
                 for n in outputs
@@ -257,7 +254,6 @@ FOUND = ("flags", "reason", "worn")
 VALUES = {
     "estimates": "{}",
     "half_widths": "{}_half_width",
-    "raw": "{}_raw",
     "truth": "{}_truth",
     "healthy_si": "{}_healthy_si",
     "healthy_half_widths": "{}_healthy_half_width",

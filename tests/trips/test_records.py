@@ -12,17 +12,16 @@ FEW = ("k_p", "M_s")
 
 
 def test_row_is_flat_and_in_order():
-    result = replace(trip(3, {"k_p": 0.9}), raw={"k_p": 0.8, "M_s": 0.7})
+    result = trip(3, {"k_p": 0.9})
     row = result.row(FEW)
     assert list(row)[:12] == [
         *("trip", "mileage_km", "start", "status", "reason", "flags", "vehicle", "suspension"),
         *("bogie", "side", "train", "car"),
     ]
     limits = ["k_p_low", "k_p_high", "M_s_low", "M_s_high"]
-    others = ["k_p_raw", "M_s_raw", "k_p_truth", "M_s_truth"]
-    assert list(row)[12:22] == ["k_p", "M_s", *limits, *others]
+    others = ["k_p_truth", "M_s_truth"]
+    assert list(row)[12:20] == ["k_p", "M_s", *limits, *others]
     assert row["k_p"] == result.estimates["k_p"]
-    assert (row["k_p_raw"], row["M_s_raw"]) == (0.8, 0.7)
     assert row["k_p_truth"] == 0.9
     assert {name: row[name] for name in asdict(Quality())} == asdict(result.quality)
     assert (row["manifest"], row["mileage_km"]) == ("trip_003.yaml", 40_000.0)
@@ -38,7 +37,7 @@ def test_row_of_a_failed_trip_has_the_same_columns():
     assert list(failed) == list(whole)
     assert [type(v) for v in failed.values()] == [type(v) for v in whole.values()]
     for name in OUTPUTS:
-        assert all(np.isnan(failed[name + end]) for end in ("", "_raw", "_truth"))
+        assert all(np.isnan(failed[name + end]) for end in ("", "_truth"))
 
 
 # intervals and flags
