@@ -145,12 +145,6 @@ class Outbox:
             connection.execute(outbox.delete().where(old, outbox.c.kind != START))
             return sum(_queue(connection, r, fleet, now, zone) for r in recipients)
 
-    def due_channels(self, now: datetime) -> set[str]:
-        """Return the channels of messages that are due."""
-        chosen = sql.select(outbox.c.channel).distinct().where(_due(now.timestamp()))
-        with self._reading() as connection:
-            return set(connection.execute(chosen).scalars())
-
     def claim(self, now: datetime, channels: Collection[str]) -> Message | None:
         """Return the message of some channels that is due longest; None if none is.
 

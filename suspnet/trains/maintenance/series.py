@@ -94,8 +94,9 @@ class Series:
     @cached_property
     def misled(self) -> BoolArray:
         """Mask of the trips whose estimates are wrong by a sensor's sensitivity or delay."""
-        mask = np.zeros(len(self.trip), dtype=np.bool_)
-        return np.logical_or.reduce([mask, *(trend.misleads for trend in self.sensor_trends)])
+        none = np.zeros(len(self.trip), dtype=np.bool_)
+        misleads = [none, *(trend.misleads for trend in self.sensor_trends)]
+        return np.asarray(np.any(misleads, axis=0))
 
     @cached_property
     def outputs(self) -> tuple[str, ...]:
@@ -171,23 +172,6 @@ def _same(one: Any, other: Any) -> bool:
     if isinstance(one, np.ndarray):
         return np.array_equal(one, other, equal_nan=one.dtype.kind in "fM")
     return bool(one == other)
-
-
-def car_of(series: Series) -> tuple[str, ...]:
-    """Return a key that the suspensions of a car share.
-
-    If no car is named, suspensions that differ only in bogie or side are of one car.
-    """
-    place = series.place
-    return series.vehicle, place.train, place.car, "" if place.car else place.suspension
-
-
-def of_same_car(several: Sequence[Series]) -> list[list[Series]]:
-    """Return the suspensions of each car that has several."""
-    cars: dict[tuple[str, ...], list[Series]] = {}
-    for series in several:
-        cars.setdefault(car_of(series), []).append(series)
-    return [sisters for sisters in cars.values() if len(sisters) > 1]
 
 
 def make_series(
