@@ -237,14 +237,12 @@ def mismatch(rows: Sequence[Row]) -> str:
     return markdown(lines, [*header, "half widths", "hold %", "misfit", "flagged"])
 
 
-def of_trains(
-    rows: Sequence[Row], case: str, trips: str, reading: str, reference: str = "vehicle"
-) -> dict[str, list[Row]]:
+def of_trains(rows: Sequence[Row], case: str, trips: str, reading: str) -> dict[str, list[Row]]:
     """Return the rows of some trips by output, a row for each train."""
     found: dict[str, list[Row]] = {}
     for row in rows:
-        key = tuple(row[name] for name in ("case", "trips", "reading", "reference"))
-        if key == (case, trips, reading, reference) and "rms_percent" in row:
+        key = tuple(row[name] for name in ("case", "trips", "reading"))
+        if key == (case, trips, reading) and "rms_percent" in row:
             found.setdefault(row["output"], []).append(row)
     return found
 

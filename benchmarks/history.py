@@ -68,7 +68,6 @@ def trips(number: int, n_trips: int, seed: int) -> list[TripResult]:
                 mileage_km=2000.0 * (i + 1),
                 start=str(start + np.timedelta64(i, "D")),
                 estimates=values,
-                raw=values,
                 half_widths=dict(zip(PARAMETERS, half_widths[i].tolist(), strict=True)),
                 flags="the features lie 1.1 times the threshold" if flags[i] else "",
                 temperature_c=float(rng.normal(10, 8)),

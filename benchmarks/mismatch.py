@@ -205,12 +205,8 @@ def read(model: TrainedModel, trips: Trips) -> list[Estimate | None]:
     return found
 
 
-def measured(trips: Trips, estimates: Sequence[Estimate | None], relative: bool) -> list[Row]:
-    """Return a row for each output: errors and coverage over the trips that are not healthy.
-
-    With `relative` springs and dampers are relative to the median of the healthy trips.
-    """
-    healthy = [e for e in estimates[: trips.n_healthy] if e is not None]
+def measured(trips: Trips, estimates: Sequence[Estimate | None]) -> list[Row]:
+    """Return a row for each output: errors and coverage over the trips that are not healthy."""
     worn = [i for i in range(trips.n_healthy, len(estimates)) if estimates[i] is not None]
     done = [estimates[i] for i in worn]
     head = {"n_trips": len(estimates) - trips.n_healthy, "n_read": len(done)}
@@ -218,12 +214,8 @@ def measured(trips: Trips, estimates: Sequence[Estimate | None], relative: bool)
     head["n_flagged"] = int(flagged.sum())
     rows = []
     for j, name in enumerate(done[0].names if done else ()):
-        reference = 1.0
-        if relative and name != "M_s":
-            reference = float(np.median([e.values[0, j] for e in healthy]))
         values, low, high = (
-            np.array([getattr(e, part)[0, j] for e in done]) / reference
-            for part in ("values", "low", "high")
+            np.array([getattr(e, part)[0, j] for e in done]) for part in ("values", "low", "high")
         )
         truth = trips.truth[worn, j]
         errors, held = 100 * (values / truth - 1), (low <= truth) & (truth <= high)
@@ -246,17 +238,15 @@ def case_rows(options, name: str, folder: Path) -> list[Row]:
     head = {"case": name, "trips": "time" if options.time else "spectra", "seed": options.seed}
     rows = []
 
-    def add(reading, model, seconds, more, references=("vehicle",)):
+    def add(reading, model, seconds, more):
         start = time.process_time()
         estimates = read(model, trips)
         each = (time.process_time() - start) / len(estimates)
         told = {"reading": reading, "train_s": seconds, "trip_s": each, **more}
-        for reference in references:
-            found = measured(trips, estimates, reference == "first_trips")
-            rows.extend(head | told | {"reference": reference} | row for row in found)
+        rows.extend(head | told | row for row in measured(trips, estimates))
 
     if NOMINAL in options.readings:
-        add(NOMINAL, *nominal(options, case), {}, ("vehicle", "first_trips"))
+        add(NOMINAL, *nominal(options, case), {})
     if COMMISSIONED in options.readings:
         config = configuration(options, case)
         start = time.process_time()
@@ -309,16 +299,16 @@ def write(rows: Sequence[Row], path: Path) -> None:
 
 
 def table(rows: Sequence[Row]) -> str:
-    """Return one line for each case, reading, reference and seed."""
+    """Return one line for each case, reading and seed."""
     lines: dict[tuple[str, ...], list[str]] = {}
     for row in rows:
-        key = tuple(row[name] for name in ("case", "trips", "reading", "reference", "seed"))
+        key = tuple(row[name] for name in ("case", "trips", "reading", "seed"))
         counts = [f"{row['n_read']} of {row['n_trips']}", str(row["n_flagged"])]
         counts += [short(row.get(name)) for name in ("misfit", "train_s")]
         line = lines.setdefault(key, [*key, *counts])
         line.append(" / ".join(short(row.get(name)) for name in IN_TABLE))
     outputs = list(dict.fromkeys(row["output"] for row in rows))
-    headers = ["train has", "trips", "reading", "healthy is", "seed", "read", "flagged", "misfit"]
+    headers = ["train has", "trips", "reading", "seed", "read", "flagged", "misfit"]
     headers += ["training, s", *outputs]
     return tabulate(list(lines.values()), headers, tablefmt="pipe", disable_numparse=True)
 

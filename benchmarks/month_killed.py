@@ -93,7 +93,6 @@ def sums_of_samples(
     return {
         "status": OK,
         "estimates": values,
-        "raw": dict(values),
         "half_widths": dict.fromkeys(values, 0.01),
         "healthy_si": healthy,
         "healthy_half_widths": dict.fromkeys(values, 0.0),

@@ -16,7 +16,7 @@ def read_trip(where, i, values, spread=SPREAD, **fields):
     """Return the i-th trip of a suspension, 2000 km and three days after the one before."""
     day = np.datetime64("2025-11-01T06:00:00") + np.timedelta64(3 * i, "D")
     given = {"half_widths": {name: 2 * s for name, s in spread.items()}, "estimates": values}
-    given |= {"raw": values, "quality": Quality(speed_m_per_s=70.0), "start": f"{day}+00:00"}
+    given |= {"quality": Quality(speed_m_per_s=70.0), "start": f"{day}+00:00"}
     return TripResult(f"trip_{i:03d}", "", "am96", where, 2000.0 * (i + 1), **given, **fields)
 
 

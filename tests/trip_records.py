@@ -68,7 +68,6 @@ def trip(i=0, change=None, missing=False, with_curves=True, **fields):
         "mileage_km": 10_000.0 * (i + 1),
         "start": f"2024-01-{i % 28 + 1:02d}T08:15:00",
         "estimates": {} if missing else estimates,
-        "raw": {} if missing else estimates,
         "truth": truth,
         "quality": quality,
         "curves": curves(i, stiffness=truth["k_p"]) if with_curves and not missing else None,

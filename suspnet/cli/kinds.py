@@ -18,7 +18,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from suspnet.cli.config_files import CONFIGS, read_settings
-from suspnet.ground.settings import check_choice, check_number
+from suspnet.ground.settings import check_choice
 
 if TYPE_CHECKING:
     from suspnet.curves.protocols import Protocol
@@ -180,11 +180,9 @@ def vehicles_with(folder: Path | None) -> dict[str, Vehicle]:
 
 
 def board_settings(config: DictConfig, alarms: DictConfig) -> BoardSettings:
-    """Return the settings of a fleet's states and plan; `alarms` holds limits and reference."""
+    """Return the settings of a fleet's states and plan; `alarms` holds limits and changes."""
     from suspnet.trains.pages.board import BoardSettings  # imports the store
 
-    check_choice("reference", alarms.reference, ("vehicle", "first_trips"))
-    check_number("n_reference", alarms.n_reference, low=1, most=1024, whole=True)
     sources = (Path(source.path) for source in HydraConfig.get().runtime.config_sources)
     folders = (folder for folder in sources if (folder / "vehicle").is_dir())
     vehicles = [vehicle for folder in folders for vehicle in read_vehicles(folder).values()]
@@ -193,7 +191,6 @@ def board_settings(config: DictConfig, alarms: DictConfig) -> BoardSettings:
         limits=plain(alarms.limits),
         changes=build(alarms, "changes"),
         plan=build(config, "plan"),
-        n_first=alarms.n_reference if alarms.reference == "first_trips" else None,
         today=config.today,
         seed=config.seed,
     )

@@ -36,7 +36,7 @@ ALLOWED = frozenset(
     data.n_test data.n_train data.noise_on data.overlap data.rates_hz data.segment_s
     data.snr_db
     data.speed_half_width data.speed_m_per_s data.step_hz data.track data.window
-    monitor.changes monitor.limits monitor.n_reference monitor.reference monitor.trips
+    monitor.changes monitor.limits monitor.trips
     source.broker.ca_file source.broker.port source.broker.tls source.broker.user
     """.split()
 )

@@ -18,7 +18,7 @@ from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.vehicle import PARAMETERS, ResponseGenerator, SpatialVehicle
 from suspnet.vehicle.quantities import LogNormal
 
-KINDS = ("missing", "cloud", "range", "misfit", "physics", "sides")
+KINDS = ("missing", "cloud", "range", "misfit", "physics")
 ENDS = ("value", "low", "high")
 SHOWN = 10
 """Number of rows in the printed form."""
@@ -235,7 +235,7 @@ class Flags:
 
     @cached_property
     def found(self) -> BoolArray:
-        """Which of ``KINDS`` are set, shape (n_curves, 6)."""
+        """Which of ``KINDS`` are set, shape (n_curves, 5)."""
         kinds = [{kind for kind, _ in reasons} for reasons in self.given]
         rows = [[kind in some for kind in KINDS] for some in kinds]
         return np.array(rows, dtype=bool).reshape(len(rows), len(KINDS))

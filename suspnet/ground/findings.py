@@ -15,11 +15,10 @@ from importlib import resources
 from types import MappingProxyType
 from typing import IO, Any, TypeGuard
 
-LIST, OF, NO_PART = "list", "of", "no-part-named"
+LIST, OF = "list", "of"
 WORN, WORN_ONE_OF, WITHOUT_SENSORS = "worn-part", "worn-one-of", "without-sensors"
-"""Kinds that programs look for: several findings in a row, a finding with its subject in front, the
-reason why no part of a trip is named, a worn part, several parts of which one is worn, and parts
-that were read without some sensors."""
+"""Kinds that programs look for: several findings in a row, a finding with its subject in front, a
+worn part, several parts of which one is worn, and parts that were read without some sensors."""
 
 
 def _lines(text: str) -> Iterator[tuple[int, str, tuple[str, ...]]]:

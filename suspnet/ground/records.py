@@ -11,15 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.ground.findings import (
-    NO_PART,
-    Finding,
-    kind_is,
-    parts_of,
-    restored,
-    stored,
-    together,
-)
+from suspnet.ground.findings import Finding, restored, stored, together
 from suspnet.ground.parameters import (
     BODY_MASS,
     BOGIE_PARTS,
@@ -130,17 +122,6 @@ class Quality:
     wheels: str = ""
     sensors: str = ""
 
-    @property
-    def no_part(self) -> str:
-        """Why the parts of the bogie were not read; empty if they were, or were not asked for."""
-        reasons = (w.values["words"] for w in parts_of(self.warnings) if kind_is(w, NO_PART))
-        return next(map(str, reasons), "")
-
-    @property
-    def other_warnings(self) -> str:
-        """The warnings without that of `no_part`."""
-        return together(w for w in parts_of(self.warnings) if not kind_is(w, NO_PART))
-
 
 @dataclass(frozen=True, eq=False)
 class TripCurves:
@@ -176,17 +157,15 @@ class TripResult:
         Empty if there is an estimate.
     estimates, truth : dict of float, [-]
         Parameters relative to healthy, and those of simulated trips.
-    raw : dict of float, [-]
-        Parameters relative to the vehicle's nominal ones.
     half_widths, healthy_half_widths : dict of float, [-]
         Intervals in logarithms, from estimate * exp(-half width) to estimate * exp(half width), and
         those of the healthy values; NaN if the model has no intervals.
     healthy_since_km : float, [km]
         Mileage of the first healthy trip of the commissioning; NaN for a nominal vehicle.
     healthy_si : dict of float, [N/m, N s/m, kg]
-        Value of each parameter at a ratio of 1 in `raw`.
-    flags, sides, worn : str
-        Findings: flags of the estimate, the weaker side of each pair, and worn parts (``WORN``).
+        Value of each parameter at a ratio of 1 in `estimates`.
+    flags, worn : str
+        Findings: flags of the estimate, and worn parts (``WORN``).
     seconds : float, [s]
         Duration of the evaluation.
     """
@@ -200,14 +179,12 @@ class TripResult:
     status: str = OK
     reason: str = ""
     estimates: dict[str, float] = field(default_factory=dict)
-    raw: dict[str, float] = field(default_factory=dict)
     truth: dict[str, float] = field(default_factory=dict)
     half_widths: dict[str, float] = field(default_factory=dict)
     healthy_since_km: float = np.nan
     healthy_si: dict[str, float] = field(default_factory=dict)
     healthy_half_widths: dict[str, float] = field(default_factory=dict)
     flags: str = ""
-    sides: str = ""
     worn: str = ""
     quality: Quality = field(default_factory=Quality)
     seconds: float = 0.0
@@ -225,7 +202,7 @@ class TripResult:
 
         The interval includes the uncertainty of the healthy value, assumed independent.
         """
-        value = self.raw.get(name, np.nan) * self.healthy_si.get(name, np.nan)
+        value = self.estimates.get(name, np.nan) * self.healthy_si.get(name, np.nan)
         half = np.hypot(
             self.half_widths.get(name, np.nan), self.healthy_half_widths.get(name, np.nan)
         )
@@ -246,7 +223,7 @@ class TripResult:
             *PLACE,
             *outputs,
             *(f"{name}_{end}" for name in outputs for end in ("low", "high")),
-            *(f"{name}_{kind}" for kind in ("raw", "truth") for name in outputs),
+            *(f"{name}_truth" for name in outputs),
             *(
                 f"{SI_COLUMNS[n]}{end}"
                 for n in outputs
@@ -254,7 +231,7 @@ class TripResult:
             ),
             *("healthy_since_km", "temperature_c"),
             *QUALITY_TYPES,
-            *("sides", "worn", "seconds", "manifest"),
+            *("worn", "seconds", "manifest"),
         ]
         return {name: flat[name] for name in columns}
 
@@ -270,14 +247,13 @@ EVENT_KINDS = ("exchanged", "reprofiled", SENSOR, "other")
 """Kinds of maintenance: a part exchanged, wheels reprofiled, a sensor replaced, or other work that
 the text names."""
 NUMBERS = ("mileage_km", "healthy_since_km", "temperature_c", "seconds")
-TEXTS = ("trip", "start", "flags", "status", "reason", "sides", "worn", "manifest")
+TEXTS = ("trip", "start", "flags", "status", "reason", "worn", "manifest")
 """Columns of a trip's numbers and texts, named as in ``TripResult``."""
-FOUND = ("flags", "reason", "sides", "worn")
+FOUND = ("flags", "reason", "worn")
 """Those texts that are findings."""
 VALUES = {
     "estimates": "{}",
     "half_widths": "{}_half_width",
-    "raw": "{}_raw",
     "truth": "{}_truth",
     "healthy_si": "{}_healthy_si",
     "healthy_half_widths": "{}_healthy_half_width",

@@ -188,7 +188,7 @@ MODEL = "defaults: [msvr]\nC: 7\n"
 BROKER = f"""{GLOBAL}GROUP: {{broker: {{port: 8883, tls: true, ca_file: /etc/ca.crt, user: us}}}}
 """
 LIMITS = f"{GLOBAL}limits: {{k_p: {{notice: [0.9, 1.1]}}}}\nplan: {{risk: 0.07}}\n"
-WATCHED = f"{GLOBAL}monitor: {{n_reference: 7, trips: {{level: 0.8}}}}\n"
+WATCHED = f"{GLOBAL}monitor: {{trips: {{level: 0.8}}}}\n"
 SCENARIO = "defaults: [healthy]\nname: mine\nchanges: {k_p: {from_km: 1, to_km: 2, ratio: 0.5}}\n"
 USES = {
     # file, its text, program, the rest of the command, and what is then configured

@@ -161,6 +161,11 @@ def test_mistake_gets_one_line(override, message, tmp_path):
             "There is no such key: did you mean n_train?; --help lists them",
         ),
         (train, ["protocol.feature_settings.n=4"], "no such key: a + before it adds it; --help"),
+        (
+            evaluate,
+            ["run=x", "monitor.reference=first_trips"],  # of earlier versions
+            "'monitor.reference'. There is no such key",
+        ),
         (train, ["hydra.run.dir={file}/x"], "Not a directory"),
         (evaluate, [], "which run?"),
         (evaluate, ["run=nowhere"], "run=nowhere does not exist"),

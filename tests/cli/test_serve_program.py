@@ -99,14 +99,12 @@ def test_limits_of_a_users_own_vehicle_are_found(
     (tmp_path / "mine" / "vehicle" / "metro.yaml").write_text(own)
     given = []
     monkeypatch.setattr(module, where, lambda *args: given.extend(args) or [])
-    first = {"serve": "reference=first_trips"}.get(where, "monitor.reference=first_trips")
-    named = ("--config-dir", "mine", *arguments, f"store={path}", first)
+    named = ("--config-dir", "mine", *arguments, f"store={path}")
     ended = typed(module, *named, cwd=tmp_path)
     assert ended.returncode == 0, ended.stderr
     settings = given[0].settings if module is serve else given[2]
     assert settings.limits_of("metro")["k_p"].why == "our rule 7"
     assert settings.limits_of("am96")["k_p"].act == (0.8, 1.25)
-    assert settings.n_first == 5
 
 
 def test_port_that_is_taken_is_one_line(refused, path):

@@ -400,10 +400,6 @@ def test_bad_recording_is_a_row_with_its_reason(bad, name, status, reason):
         (["trips={tmp}"], r"holds no \*\.yaml file; each trip needs one"),
         (["trips={trips}", "run={tmp}/no"], "run=.*/no does not exist"),
         (
-            ["trips={trips}", "monitor.reference=x"],
-            "`reference` must be one of .*'vehicle', 'first_trips'",
-        ),
-        (
             ["trips={trips}", "monitor.workers=0"],
             "`workers` must be a whole number >= 1 or null, got 0",
         ),

@@ -1,5 +1,6 @@
 """The store keeps trips and events: what is written is read, once, whoever writes at once."""
 
+import json
 import math
 import sqlite3
 from dataclasses import asdict, replace
@@ -234,25 +235,20 @@ def test_a_store_of_an_older_version_is_brought_to_this_one(version, place, by_h
     for column in (name for old in range(version, SCHEMA) for name in NEW_COLUMNS[old]):
         by_hand(sqlalchemy.text(f"ALTER TABLE trips DROP COLUMN {column}"))
     by_hand(sqlalchemy.text(f"UPDATE suspnet_version SET schema = {version}"))
-    was = {"warnings": "loose; no part is named: too short; as it is"}
-    if version > 6:
-        was["worn"] = (
-            "damper of axle 2, left at 62 % of healthy (odds over 1000 : 1); secondary spring, "
-            "left or secondary spring, right at 93.1 % of healthy (odds 30 : 1, which of them is "
-            "not known)"
-        )
+    # a text of its time, and a finding of a kind that is gone
+    gone = {"kind": "no-part-named", "values": {"words": "short"}, "text": "no part: short"}
+    was = {"faults": "bogie left: loose from 1 s", "warnings": json.dumps(gone)}
+    was |= {"worn": "damper of axle 2, left at 62 % of healthy"} if version > 6 else {}
     by_hand(trips.update().values(was))
     for _ in range(2):
         with History(place, must_exist=True) as store:
             (found,) = store.read(before.vehicle, before.place)
-            assert found.quality.warnings == was["warnings"]
-            assert found.quality.no_part == "too short; as it is"
+            assert found.quality.faults == was["faults"]
+            assert found.quality.warnings == "no part: short"
             assert found.worn == was.get("worn", "")
-            assert worn_entries(found.worn) == [
-                (("c_p_axle2_left",), "over 1000 : 1"),
-                (("k_s_left", "k_s_right"), "30 : 1"),
-            ] * (version > 6)
-            quality = replace(found.quality, warnings=before.quality.warnings)
+            assert worn_entries(found.worn) == []
+            texts = {name: getattr(before.quality, name) for name in ("faults", "warnings")}
+            quality = replace(found.quality, **texts)
             assert same(replace(found, worn="", quality=quality), before)
     estimates = before.estimates | dict.fromkeys(BOGIE_PARTS, 0.9)
     quality = Quality(wheels="order 2", sensors="{}", direction="forward")

@@ -9,7 +9,7 @@ from trip_records import trip
 from suspnet.ground.records import Place, by_mileage
 from suspnet.trains.history import History
 from suspnet.trains.maintenance.directions import MOST, Z, direction_errors, opposite_pairs
-from suspnet.trains.maintenance.relative import relative_results
+from suspnet.trains.maintenance.relative import with_widened
 from suspnet.trains.maintenance.series import Event, make_series, series_of
 
 NOISE = 0.007
@@ -134,7 +134,7 @@ def test_results_series_and_history_have_the_same_intervals(tmp_path):
         results.append(replace(one, estimates=one.estimates | {"c_s": c_s}, quality=quality))
     series = series_of(results)
     assert (series.half_widths["c_s"][6:] > 0.015).all()
-    found = by_mileage(relative_results(results[::-1], [], None))
+    found = by_mileage(with_widened(results[::-1], []))
     assert [one.trip for one in found] == series.trip.tolist()
     assert [one.half_widths["c_s"] for one in found] == series.half_widths["c_s"].tolist()
     with History(tmp_path / "history.db") as store:

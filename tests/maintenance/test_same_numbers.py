@@ -16,7 +16,7 @@ from suspnet.runs.tensorboard import RunLog
 from suspnet.trains.history import History
 from suspnet.trains.jobs import fleet
 from suspnet.trains.jobs.fleet import FleetSettings, evaluate_fleet
-from suspnet.trains.maintenance.relative import relative_results
+from suspnet.trains.maintenance.relative import with_widened
 from suspnet.trains.pages import report
 from suspnet.trains.pages.board import Board, BoardSettings
 
@@ -54,14 +54,12 @@ def made_up(where, vehicle):
     return [replace(r, vehicle=vehicle) for r in results]
 
 
-@pytest.fixture(
-    scope="module", params=[pytest.param("vehicle", marks=pytest.mark.slow), "first_trips"]
-)
-def outcomes(request, tmp_path_factory):
+@pytest.fixture(scope="module")
+def outcomes(tmp_path_factory):
     """Return the folder of four suspensions' reports, and the view that is served of them."""
     folder = tmp_path_factory.mktemp("same")
     model = model_at()
-    settings = FleetSettings(TripSettings(), reference=request.param)
+    settings = FleetSettings(TripSettings())
     of_place = {}
     for name in NAMES:
         where = Place(name, train="12", car=name)
@@ -84,7 +82,7 @@ def outcomes(request, tmp_path_factory):
             given = (folder / "trips", [model], folder / "out", settings, False, history, SEED)
             done = evaluate_fleet(*given)
     vehicles = {model.vehicle.name: model.vehicle.known_limits}
-    given = {"n_first": settings.n_first, "today": "2026-03-01", "seed": SEED}
+    given = {"today": "2026-03-01", "seed": SEED}
     board = Board(str(store), BoardSettings(vehicles, **given))
     board.refresh()
     return folder, board.view, done
@@ -171,8 +169,8 @@ def test_series_and_trips_of_the_store_are_those_of_the_report(outcomes):
     assert len(of_place) == len(NAMES)
     for one in done:
         series = one.state.series
-        assert series.equals(of_place[one.place].relative_to_first(series.n_first))
-        stored = relative_results(results[one.place], series.events, series.n_first)
+        assert series.equals(of_place[one.place])
+        stored = with_widened(results[one.place], series.events)
         assert [r.estimates for r in stored] == [r.estimates for r in one.results]
         assert [r.half_widths for r in stored] == [r.half_widths for r in one.results]
         for name, column in series.estimates.items():

@@ -218,7 +218,7 @@ def test_language_ends_with_its_block():
 
 def test_page_of_a_file_is_german_and_escapes_what_it_is_given():
     values = {"rows": [], "parameters": ("k_p",), "finding": finding([{"severity": "unknown"}])}
-    values |= dict.fromkeys(("most_severe", "no_part", "plan", "bogies"), "")
+    values |= dict.fromkeys(("most_severe", "plan", "bogies"), "")
     values |= {"n_bogies": 0, "address": None}
     with speaking("de"):
         page = render("fleet.html", **values)

@@ -167,9 +167,3 @@ def test_runs_that_do_not_fit_together_are_refused(both):
         check_models([*both, model_at()])
     with pytest.raises(ModelFileError, match=r"same speed \(64.4 to 75.6 m/s\)"):
         check_models([*both, both[0]])
-
-
-def test_first_trips_are_healthy_of_one_commissioning_only(both, manifests, tmp_path):
-    settings = FleetSettings(TripSettings(), reference="first_trips")
-    with pytest.raises(ValueError, match="run= names several commissionings"):
-        evaluate_fleet(manifests[0].parent, both, tmp_path, settings, progress=False)

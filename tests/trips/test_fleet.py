@@ -18,8 +18,9 @@ from trip_records import fleet as made_up
 from suspnet.curves.curves import CurveSettings
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.ground.findings import NO_PART, Finding, together
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
+from suspnet.ground.records import NO_ESTIMATE
 from suspnet.ground.storage import read_arrays, read_plain
 from suspnet.trains.jobs import fleet
 from suspnet.trains.jobs.fleet import FleetSettings, evaluate_fleet
@@ -307,39 +308,6 @@ def test_nothing_works_at_all(broken, model, blank, tmp_path):
     assert not (tmp_path / "out" / "responses.parquet").exists()
 
 
-def test_reference_of_the_first_trips(manifests, model, alone, no_figures, recalled, tmp_path):
-    folder = manifests[0].parent
-    settings = FleetSettings(TRIPS, reference="first_trips", n_reference=3)
-    results = read(folder, [model], tmp_path, settings)
-    for name in OUTPUTS:
-        reference = 1.0 if name == "M_s" else sorted(r.raw[name] for r in alone[:3])[1]
-        for result, by_itself in zip(results, alone, strict=True):
-            assert result.raw == by_itself.raw
-            expected = by_itself.raw[name] / reference
-            assert result.estimates[name] == pytest.approx(expected, rel=1e-12)
-    table = pq.read_table(tmp_path / "trips.parquet").to_pydict()
-    assert table["k_s"] == [r.estimates["k_s"] for r in results] != table["k_s_raw"]
-    details = json.loads((tmp_path / "metrics.json").read_text())["details"]
-    assert details["healthy is"] == "the median of the first 3 trips (k and c)"
-
-
-@pytest.mark.parametrize(("speed", "n_known"), [(None, 3), (20.0, 0)])
-def test_report_is_written_where_too_few_trips_define_healthy(
-    three, model, no_figures, recalled, speed, n_known
-):
-    for path in three.glob("*.yaml") if speed else ():
-        changed(path, three, path.stem, speed=speed)
-    out = three.parent / "out"
-    settings = FleetSettings(TRIPS, reference="first_trips", n_reference=5)
-    (one,) = evaluate_fleet(three, [model], out, settings, progress=False)
-    for found in one.state.assessments:
-        assert found.limited == (found.parameter != "M_s")
-        assert (found.severity >= Severity.UNKNOWN) == found.limited
-    words = json.loads((out / "metrics.json").read_text())["details"]["healthy is"]
-    assert f"{n_known} trips have an estimate" in words
-    assert words.startswith("the median of the first 3 trips") == (n_known == 3)
-
-
 def test_dead_sensors_and_alarms_of_sensors_are_printed(alone):
     constant = Finding("is-constant", value=0.0)
     dead = dead_faults({"bogie right": NOTHING, "body axle2 right": constant}, 300.0, 100.0)
@@ -416,7 +384,6 @@ def test_models_that_cannot_read_trips_are_refused(model):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"reference": "x"}, "`reference` must be one of .*'vehicle', 'first_trips'.*, got 'x'"),
         ({"workers": True}, "`workers` must be a whole number >= 1 or null, got True"),
     ],
 )
@@ -430,8 +397,7 @@ def test_settings_are_checked(change, message):
 
 def test_reasons_are_whole_in_the_summary_and_in_the_table(alone, tmp_path):
     words = "k_p at about 27 % lies outside the 50 to 160 % trained for; " * 5
-    why = Finding(NO_PART, words="misfit 24 times that of noise")
-    warned = replace(alone[1].quality, warnings=together(("alone", why)), faults="a is loose")
+    loose = replace(alone[1].quality, faults="a is loose")
     names = ("1.10", "001", "1e5")  # stay as they are
     results = [
         replace(one, trip=name, flags=flags)
@@ -447,11 +413,12 @@ def test_reasons_are_whole_in_the_summary_and_in_the_table(alone, tmp_path):
     assert reasons == [f"1.10, 1e5: {words}"]
     write_tables(results, OUTPUTS, tmp_path)
     assert [row["flags"] for row in rows(tmp_path / "trips.csv")] == [words, "", words]
-    # a trip without its parts says why, and which faults it has
-    _, *reasons = summary([replace(results[1], quality=warned)], OUTPUTS).split("\n\n")
-    assert reasons == [f"001: {why}; a is loose"]
-    sound = replace(results[1], quality=replace(warned, warnings=""))
+    # a trip without an estimate also says which faults it has
+    sound = replace(results[1], quality=loose)
     assert "loose" not in summary([sound], OUTPUTS)
+    none = replace(sound, status=NO_ESTIMATE, reason="too few averages")
+    _, *reasons = summary([none], OUTPUTS).split("\n\n")
+    assert reasons == ["001: too few averages; a is loose"]
 
 
 def test_level_and_flags_are_counted(manifests, model, no_figures, monkeypatch, tmp_path):
@@ -463,15 +430,13 @@ def test_level_and_flags_are_counted(manifests, model, no_figures, monkeypatch, 
     monkeypatch.setattr(output, "write_report", lambda *given: levels.append(given[2].level))
     monkeypatch.setattr(fleet, "evaluate_trip", odd)
     wide = TripSettings(level=0.95)
-    settings = FleetSettings(wide, reference="first_trips", n_reference=3)
-    results = read(manifests[0].parent, [model], tmp_path, settings)
+    results = read(manifests[0].parent, [model], tmp_path, FleetSettings(wide))
     metrics = json.loads((tmp_path / "metrics.json").read_text())
     assert metrics["n_flagged"] == 1
     assert metrics["coverage_percent"] == pytest.approx(coverage_percent(results, OUTPUTS))
     assert levels == [0.95]
     n = len(model.intervals.conformal.scores)
     assert metrics["details"]["intervals"].startswith(f"95 %, calibrated on {n} simulated curves")
-    assert metrics["details"]["healthy is"].endswith("(k and c), 1 of them flagged")
 
 
 def test_model_without_calibration_gives_no_intervals(manifests, model, no_figures, tmp_path):

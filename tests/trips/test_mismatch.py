@@ -355,12 +355,12 @@ def test_script_reads_healthy_and_worn_trips_of_a_case(mode, tmp_path):
     )
     rows = pacsv.read_csv(tmp_path / "mismatch.csv").to_pylist()
     # trips that the drawing's vehicle does not explain have no estimate, spectra have a poor one
-    assert len(rows) == (1 if mode else 3) * 5  # readings and references, outputs
-    rms = {(r["reading"], r["reference"], r["output"]): r["rms_percent"] for r in rows}
+    assert len(rows) == (1 if mode else 2) * 5  # readings, outputs
+    rms = {(r["reading"], r["output"]): r["rms_percent"] for r in rows}
     assert {r["n_read"] for r in rows} == {2}
     assert {r["trips"] for r in rows} == {"time" if mode else "spectra"}
-    assert rms["commissioned", "vehicle", "k_s"] < 1
+    assert rms["commissioned", "k_s"] < 1
     if not mode:
-        assert rms["nominal", "vehicle", "k_s"] > 2
-        assert re.search(r"\| bending +\| \w+ +\| nominal +\| first_trips +\|", ended.stdout)
+        assert rms["nominal", "k_s"] > 2
+        assert re.search(r"\| bending +\| \w+ +\| nominal +\|", ended.stdout)
     assert "commissioned" in (tmp_path / "mismatch.md").read_text()

@@ -30,7 +30,7 @@ from suspnet.depot.web.access import MAX_NAME, identify_visitor, is_plain, visit
 from suspnet.depot.web.service import current_refresher, opened_store, stored_trips
 from suspnet.ground.findings import of
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, NAMES, PARAMETERS, Severity
-from suspnet.ground.records import INTERVAL_LEVEL, outputs_of
+from suspnet.ground.records import INTERVAL_LEVEL
 from suspnet.ground.wording import natural
 from suspnet.runs.figures import as_svg
 from suspnet.runs.language import N_, current, gettext, spoken
@@ -44,7 +44,6 @@ from suspnet.trains.pages.bogie import (
     bogies_shown,
     small_figures,
     visits_of,
-    why_no_part,
 )
 from suspnet.trains.pages.maintenance_figures import plan_calendar
 from suspnet.trains.pages.overview import FleetView, finding
@@ -250,13 +249,12 @@ def _suspension_page(name: str, form: AcknowledgementForm) -> str:
         parameters=[name for name in state.outputs if name != BODY_MASS],
         row=view.rows[index],
         bogie=bogie_of(state, view.plan),
-        no_part=why_no_part(results, state.outputs),
         small=small_figures(state, {part: figure(of=part) for part in _figured(state)}),
         trend=figure(),
         names=NAMES,
         alarms=[(alarm, newest_of(alarm, seen)) for alarm in state.alarms],
         cleared=[(alarm, newest_of(alarm, seen)) for alarm in cleared],
-        trips=trip_table(newest, outputs_of(newest), INTERVAL_LEVEL),
+        trips=trip_table(newest, state.outputs, INTERVAL_LEVEL),
         read_as=files_read_as(newest),
         first_km=float(mileages.min()) if len(mileages) else np.nan,
         newest_km=float(mileages.max()) if len(mileages) else np.nan,

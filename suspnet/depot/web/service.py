@@ -8,7 +8,7 @@ from flask import current_app
 
 from suspnet.ground.records import TripResult
 from suspnet.trains.history import History
-from suspnet.trains.maintenance.relative import relative_results
+from suspnet.trains.maintenance.relative import with_widened
 from suspnet.trains.maintenance.state import State
 from suspnet.trains.pages.board import Refresher
 
@@ -33,6 +33,5 @@ def opened_store(*, to_write: bool = False) -> History:
 
 
 def stored_trips(store: History, state: State) -> list[TripResult]:
-    """Return the trips of a suspension, relative to its first ones where these are healthy."""
-    n_first = current_refresher().board.settings.n_first
-    return relative_results(store.read(*state.key), state.series.events, n_first)
+    """Return the trips of a suspension, with the intervals of its series."""
+    return with_widened(store.read(*state.key), state.series.events)

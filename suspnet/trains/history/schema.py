@@ -86,6 +86,7 @@ trips = Table(
     *(Column(name, Double) for name in NUMBERS),
     *(Column(column.format(name), Double) for column in VALUES.values() for name in ESTIMATED),
     *_needed(**dict.fromkeys(TEXTS, String)),
+    Column("sides", String, nullable=False, default=""),  # of earlier versions, not read any more
     *(Column(name, QUALITY[kind]) for name, kind in QUALITY_TYPES.items()),
     Column("key", LargeBinary(16), nullable=False),
     sql.UniqueConstraint("suspension_id", "key"),

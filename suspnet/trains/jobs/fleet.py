@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import functools
 import logging
-import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from suspnet.estimation.fitted import Model
 from suspnet.estimation.from_spectra import trip_settings
@@ -28,10 +27,10 @@ from suspnet.trains.history import History
 from suspnet.trains.maintenance.alarms import Acknowledgement, detector_words, watch
 from suspnet.trains.maintenance.assessment import spoken
 from suspnet.trains.maintenance.change import ChangeSettings
-from suspnet.trains.maintenance.relative import relative_results
+from suspnet.trains.maintenance.relative import with_widened
 from suspnet.trains.maintenance.series import Event, series_of
 from suspnet.trains.maintenance.state import State, with_lives
-from suspnet.trains.pages.details import missing_reference, report_details
+from suspnet.trains.pages.details import report_details
 from suspnet.trains.pages.output import (
     sensor_lines,
     summary,
@@ -43,7 +42,6 @@ from suspnet.trains.pages.overview import Evaluated
 from suspnet.trains.pages.report import Report
 from suspnet.trains.recordings.manifest_files import ManifestFile, partial_words
 from suspnet.trains.trips.commissionings import (
-    check_one_reference,
     commissionings,
     eras,
     models_of,
@@ -68,13 +66,6 @@ class FleetSettings:
     """
 
     trips: TripSettings
-    reference: Literal["vehicle", "first_trips"] = setting(
-        "vehicle",
-        "Reference for healthy: the vehicle's parameters, or the estimates of its first trips",
-    )
-    n_reference: int = setting(
-        5, "Number of first trips, for reference=first_trips", low=1, most=1024
-    )
     workers: int | None = setting(
         1,
         "Number of processes on this machine that read trips; null is 1 for up to "
@@ -89,11 +80,6 @@ class FleetSettings:
         check_settings(self)
         # check these limits, whatever the vehicle's are
         read_limits(self.limits or {}, dict.fromkeys(ESTIMATED, TIGHTEST))
-
-    @property
-    def n_first(self) -> int | None:
-        """Number of first trips that define healthy; None: the models do."""
-        return self.n_reference if self.reference == "first_trips" else None
 
     def limits_of(self, models: Sequence[Model]) -> dict[str, Limits]:
         """Return the limits of each parameter that has any: overridden, or the vehicle's.
@@ -203,8 +189,6 @@ def _suspension(
     """Return a suspension with the results of those of its trips that need not be read again."""
     fitting = models_of(models, group.place)
     limits = settings.limits_of(fitting)
-    if settings.reference == "first_trips":
-        check_one_reference(fitting)
     finished = FinishedTrips(output, fitting, settings.trips)
     suspension = _Suspension(group, fitting, output, limits, finished)
     for file in [one.absolute() for one in group.manifests]:
@@ -242,17 +226,12 @@ def _report(
         events = store.events(suspension.vehicle, group.place)
     results = by_mileage(results)
     series = replace(series_of(results, events), vehicle=suspension.vehicle)
-    series = series.relative_to_first(settings.n_first)
-    results = relative_results(results, events, settings.n_first)
+    results = with_widened(results, events)
     used = commissionings(models, results)
     results = with_truth_of_each(results, used)
     outputs, level = outputs_of(results), settings.trips.level
     # tables come first: what follows may fail on odd numbers
     write_tables(results, outputs, output)
-    since_km = max(series.repairs, default=-math.inf)
-    since_maintenance = [r for r in results if not r.mileage_km < since_km]
-    if missing := missing_reference(since_maintenance, settings.n_first):
-        log.warning("%s: %s", group.folder, missing)
     watched = watch(series, suspension.limits, settings.changes)
     state = with_lives(State(series, suspension.limits, watched), seed)
     seen: list[Acknowledgement] = []
@@ -260,9 +239,8 @@ def _report(
         store.keep_alarms(suspension.vehicle, group.place, watched.alarms)
         seen = store.acknowledgements(suspension.vehicle, group.place)
     armed = detector_words(watched.changes, settings.changes)
-    details = report_details(
-        group.folder, models, results, suspension.limits, level, settings.n_first
-    ) | {N_("alarms of changes"): armed}
+    details = report_details(group.folder, models, results, suspension.limits, level)
+    details[N_("alarms of changes")] = armed
     if partial := _warn_if_partial(group.folder):
         details["trips"] = f"{details['trips']} ({partial})"
     if store is not None:

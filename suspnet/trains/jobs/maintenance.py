@@ -31,7 +31,7 @@ def write_maintenance(history: History, folder: Path, settings: BoardSettings) -
     Returns the states, the worst first. HistoryError if the store cannot be used; ValueError if it
     is empty.
     """
-    fleet = [series.relative_to_first(settings.n_first) for series in history.series()]
+    fleet = history.series()
     if not fleet:
         raise ValueError(f"{history}: no trip is stored here yet")
     own = {series.vehicle: settings.limits_of(series.vehicle) for series in fleet}

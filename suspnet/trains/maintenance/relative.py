@@ -1,4 +1,4 @@
-"""Results of trips relative to the first trips, or to the first commissioning."""
+"""Results of trips with wider intervals, or relative to the first commissioning."""
 
 from __future__ import annotations
 
@@ -7,52 +7,25 @@ from dataclasses import replace
 
 import numpy as np
 
-from suspnet.ground.records import OK, Commissioning, TripResult, by_mileage
-from suspnet.ground.types import FloatArray
+from suspnet.ground.records import Commissioning, TripResult
 from suspnet.trains.maintenance.series import Event, series_of
 
 
-def first_trips(results: Iterable[TripResult], n_first: int) -> list[TripResult]:
-    """Return the `n_first` trips of least mileage with an estimate, or as many as there are.
-
-    Flagged trips are included: a vehicle unlike the model's is so from the first trip on.
-    """
-    return by_mileage(r for r in results if r.status == OK)[:n_first]
-
-
-def relative_results(
-    results: Sequence[TripResult], events: Sequence[Event], n_first: int | None
-) -> list[TripResult]:
-    """Return results as ``Series.relative_to_first`` does, with ``Series.widened`` intervals.
-
-    The truth of simulated trips is treated like the estimates.
-    """
+def with_widened(results: Sequence[TripResult], events: Sequence[Event]) -> list[TripResult]:
+    """Return results with the intervals of ``Series.widened``."""
     if not results:
         return []
-    if n_first is not None:
-        results = [replace(result, estimates=result.raw) for result in results]
     # nothing depends on starts, and those of a store may be unreadable
     series = series_of([replace(result, start="") for result in results], events)
     order = np.lexsort(([r.trip for r in results], [r.mileage_km for r in results]))
-    truths = {
-        name: np.array([results[i].truth.get(name, np.nan) for i in order])
-        for name in series.estimates
-    }
-    relative = series.relative_to_first(n_first)
-    truth = replace(series, estimates=truths).relative_to_first(n_first).estimates
-
-    def of_trip(
-        row: int, values: Mapping[str, float], columns: Mapping[str, FloatArray]
-    ) -> dict[str, float]:
-        own = {name: float(columns[name][row]) for name in values if name in columns}
-        return {**values, **own}
-
+    widths = series.half_widths
     return [
         replace(
             result,
-            estimates=of_trip(row, result.estimates, relative.estimates),
-            half_widths=of_trip(row, result.half_widths, relative.half_widths),
-            truth=of_trip(row, result.truth, truth),
+            half_widths={
+                name: float(widths[name][row]) if name in widths else width
+                for name, width in result.half_widths.items()
+            },
         )
         for row, result in zip(np.argsort(order), results, strict=True)
     ]

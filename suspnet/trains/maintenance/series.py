@@ -13,21 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from suspnet.ground.findings import Finding, stored
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, ESTIMATED, PARAMETERS
-from suspnet.ground.records import (
-    EVENT_KINDS,
-    SENSOR,
-    Key,
-    Place,
-    TripResult,
-    sensors_from_text,
-    utc,
-)
+from suspnet.ground.records import EVENT_KINDS, SENSOR, Key, Place, TripResult, utc
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.trains.maintenance.directions import SIGNS, widened
-from suspnet.trains.maintenance.sensors import LEAST, SensorTrend, sensor_trends
+from suspnet.trains.maintenance.sensors import SensorTrend, sensor_trends
 
 NUMBERS = ("mileage_km", "healthy_since_km", "speed_m_per_s", "temperature_c", "direction")
 """Numeric columns of a series, in addition to those of each parameter."""
+PARTS, EQUAL = set(BOGIE_PARTS), set(PARAMETERS) - {BODY_MASS}
+"""Springs and dampers, each part, and of both sides and axles as equal."""
 N_LAST = 5
 """Number of the newest trips with an estimate that decide on a parameter."""
 
@@ -62,8 +56,7 @@ class Series:
     (NaT: unknown), `temperature_c` that of the outside air, `direction` one of ``SIGNS``.
     `estimates` and `half_widths` are as in ``TripResult``, of each parameter and of each part that
     any trip has. `sensors` is the health of the sensors as in ``Quality``, `worn` the worn parts as
-    in ``TripResult``; empty: unknown. `events` are sorted by mileage. `n_first` is the number of
-    first trips whose median is healthy; None: the model defines it.
+    in ``TripResult``; empty: unknown. `events` are sorted by mileage.
     """
 
     vehicle: str
@@ -81,7 +74,6 @@ class Series:
     sensors: NDArray[np.str_]
     worn: NDArray[np.object_]
     events: tuple[Event, ...] = ()
-    n_first: int | None = None
 
     @property
     def key(self) -> Key:
@@ -101,56 +93,21 @@ class Series:
 
     @cached_property
     def misled(self) -> BoolArray:
-        """Mask of the trips whose estimates are wrong by a sensor's sensitivity or delay.
-
-        The ``doubted`` trip is one of them.
-        """
-        wrong = [trend.misleads for trend in self.sensor_trends]
-        return np.asarray(np.logical_or.reduce([self.doubted, *wrong]))
-
-    @cached_property
-    def doubted(self) -> BoolArray:
-        """Mask of the newest trip if its sensors are the likelier reason of what it shows.
-
-        It is flagged, one of its sensors is dead, loose or faulty, and it does not show the parts
-        that the trip before shows: a damaged suspension shows itself on the next trip, too.
-        """
-        mask = np.zeros(len(self.trip), dtype=np.bool_)
-        has_parts = np.logical_or.reduce([mask, *self._of_parts])
-        *_, before, newest = [-1, -1, *np.flatnonzero(self.done)]
-        if self.done.any() and has_parts[before] and not self.flagged[before]:
-            sensors = sensors_from_text(self.sensors[newest]).values()
-            is_faulty = any(health.faulty > LEAST["faulty"] for health in sensors)
-            mask[newest] = is_faulty and self.flagged[newest] and not has_parts[newest]
-        return mask
-
-    @property
-    def _of_parts(self) -> list[BoolArray]:
-        """Masks of the trips with an estimate of each part of a bogie."""
-        return [np.isfinite(self.estimates[name]) for name in BOGIE_PARTS if name in self.estimates]
-
-    @property
-    def newest_with_parts(self) -> int | None:
-        """Index of the newest trip with an estimate of any part of a bogie; None without one."""
-        shown = np.flatnonzero(np.any(self._of_parts, axis=0))
-        return int(shown[-1]) if len(shown) else None
+        """Mask of the trips whose estimates are wrong by a sensor's sensitivity or delay."""
+        none = np.zeros(len(self.trip), dtype=np.bool_)
+        misleads = [none, *(trend.misleads for trend in self.sensor_trends)]
+        return np.asarray(np.any(misleads, axis=0))
 
     @cached_property
     def outputs(self) -> tuple[str, ...]:
         """Parameters with an estimate for any trip; all parameters if there is none.
 
-        Where parts are estimated, those of both sides as equal count only on the newest trips,
-        since the last one that shows its parts without a flag: else these say more.
+        They are of parts if the newest commissioning reads these, else of both sides as equal.
         """
         names = {name for name, column in self.estimates.items() if np.isfinite(column).any()}
-        newest = np.flatnonzero(self.done & ~self.doubted)[-N_LAST:]
-        if names & set(BOGIE_PARTS):
-            shown = np.any(self._of_parts, axis=0)
-            last = np.flatnonzero(shown & ~self.flagged).max(initial=-1)
-            newest = newest[newest > last]
-            for name in PARAMETERS[:-1]:
-                if not np.isfinite(self.estimates[name][newest]).any():
-                    names.discard(name)
+        now = self.of_newest_reference
+        has_parts = any(np.isfinite(self.estimates[name][now]).any() for name in names & PARTS)
+        names -= EQUAL if has_parts else PARTS
         return tuple(name for name in self.estimates if name in names or not names)
 
     @property
@@ -176,31 +133,6 @@ class Series:
         """Indices of the trips before, between and after maintenance; without a mileage: after."""
         ends = np.searchsorted(self.mileage_km[np.isfinite(self.mileage_km)], self.repairs)
         return np.split(np.arange(len(self.trip)), ends)
-
-    def relative_to_first(self, n_first: int | None) -> Series:
-        """Return k and c relative to the median of the first trips after each maintenance.
-
-        The interval widens by the uncertainty of the median, whose variance is pi / 2 times that of
-        a mean of `n_first` trips. This is right for noise; systematic errors (of a regression
-        without refinement) cancel only while the vehicle does not change. The car-body mass stays
-        relative to nominal, as it varies by nature. If fewer trips have an estimate, all of these
-        are used; None: to the model, as this series is.
-        """
-        if n_first is None:
-            return self
-        estimates, half_widths = (
-            {name: column.copy() for name, column in columns.items()}
-            for columns in (self.estimates, self.half_widths)
-        )
-        for name in set(estimates) - {BODY_MASS}:
-            values, widths = estimates[name], half_widths[name]
-            for trips in self.between:  # each maintenance gives a new reference
-                first = trips[np.isfinite(values[trips])][:n_first]
-                if len(first):
-                    of_median = np.sqrt(np.pi / 2 / len(first)) * np.median(widths[first])
-                    widths[trips] = np.hypot(widths[trips], np.nan_to_num(of_median))
-                    values[trips] /= np.median(values[first])
-        return replace(self, estimates=estimates, half_widths=half_widths, n_first=n_first)
 
     def widened(self) -> Series:
         """Return the trips with intervals that hold what both directions of travel show.
@@ -240,15 +172,6 @@ def _same(one: Any, other: Any) -> bool:
     if isinstance(one, np.ndarray):
         return np.array_equal(one, other, equal_nan=one.dtype.kind in "fM")
     return bool(one == other)
-
-
-def car_of(series: Series) -> tuple[str, ...]:
-    """Return a key that the suspensions of a car share.
-
-    If no car is named, suspensions that differ only in bogie or side are of one car.
-    """
-    place = series.place
-    return series.vehicle, place.train, place.car, "" if place.car else place.suspension
 
 
 def make_series(

@@ -32,8 +32,6 @@ from suspnet.trains.maintenance.life import MIN_TRIPS, Life, predict_life
 from suspnet.trains.maintenance.sensors import IN_A_ROW
 from suspnet.trains.maintenance.series import N_LAST, Series
 
-UNKNOWN_HEALTHY = "healthy is not known yet"
-"""Doubt about limits as long as fewer trips have an estimate than define healthy."""
 SENSOR_FAILED = "a sensor has failed, see its alarm"
 """Doubt about limits while a sensor misleads the newest trips."""
 
@@ -65,10 +63,8 @@ class State:
     @cached_property
     def doubt(self) -> str:
         """Why the limits cannot be applied; empty if they can."""
-        if len(self.series.misled) >= IN_A_ROW and self.series.misled[-IN_A_ROW:].all():
-            return SENSOR_FAILED
-        done = self.series.done[self.series.between[-1]]
-        return UNKNOWN_HEALTHY if done.sum() < (self.series.n_first or 0) else ""
+        newest = self.series.misled[-IN_A_ROW:]
+        return SENSOR_FAILED if len(newest) == IN_A_ROW and newest.all() else ""
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -176,9 +172,9 @@ class State:
 
     @cached_property
     def worn(self) -> str:
-        """Which parts have worn on the newest trip with an estimate of parts, as text."""
-        newest = self.recent.newest_with_parts
-        return "" if newest is None else restored(self.recent.worn[newest])
+        """Which parts have worn on the newest trip with an estimate, as text."""
+        newest = self.recent.worn[self.recent.done][-1:]
+        return restored(newest[0]) if len(newest) else ""
 
     def now(self, name: str) -> float:
         """Return the present value of a parameter, [-]: the median of its ``leading`` trips.

@@ -31,8 +31,7 @@ class BoardSettings:
     """Settings of the states and the plan of a fleet.
 
     `vehicles` has the limits of vehicles by name; others have ``DEFAULT_LIMITS``. `limits` override
-    them all. `n_first` is the number of first trips whose median is healthy (None: the models
-    define it). `today` is an ISO 8601 day (None: that of the computer's clock), `seed` that of the
+    them all. `today` is an ISO 8601 day (None: that of the computer's clock), `seed` that of the
     predicted lives. ValueError is raised if `today` is not a day, or the limits are inconsistent.
     """
 
@@ -40,7 +39,6 @@ class BoardSettings:
     limits: Mapping[str, Any] | None = None
     changes: ChangeSettings = field(default_factory=ChangeSettings)
     plan: PlanSettings = field(default_factory=PlanSettings)
-    n_first: int | None = None
     today: str | None = None
     seed: int = 0
 
@@ -137,7 +135,7 @@ class Board:
     def _read(self, history: History, revisions: dict[Key, int], changed: list[Key]) -> None:
         changed.sort(key=lambda key: (key[0], str(key[1])))
         series = [  # in parts: an SQLite file cannot be written while it is read
-            own.relative_to_first(self.settings.n_first)
+            own
             for begin in range(0, len(changed), READ_AT_ONCE)
             for own in history.series(changed[begin : begin + READ_AT_ONCE])
         ]

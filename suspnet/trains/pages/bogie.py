@@ -11,18 +11,11 @@ import numpy as np
 
 from suspnet.ground.findings import Finding, parts_of, together
 from suspnet.ground.parameters import BOGIE_PARTS, Severity, part_words
-from suspnet.ground.records import TripResult
 from suspnet.trains.maintenance.judge import ABSURD
 from suspnet.trains.maintenance.plan import Plan, place_of
 from suspnet.trains.maintenance.state import State
 from suspnet.trains.pages.templates import level, shown_number
 
-EQUAL_SIDES = (
-    "these estimates take both sides and both axles as equal; sensors left and right, and healthy "
-    "trips with them, read each part"
-)
-"""Why estimates without parts name none."""
-NONE_NAMED = Finding("no-part-at-all", reason=EQUAL_SIDES)
 LEAST_HALF = 0.1  # smallest half width of an interval that is shown [% of healthy]
 WIDE_HALF = 10.0  # half width of an interval from which no decimals are shown [% of healthy]
 MAX_BOGIES = 6  # drawn on one page of a fleet
@@ -107,16 +100,13 @@ def bogies_shown(
     """Return the bogies of suspensions, those with findings first, for the macro `fleet`.
 
     `entries` are the place, the name in URLs and the state of each. The values are "bogies", each
-    with its place and name, "n_bogies", the number of bogies whose parts are read, and "no_part", a
-    sentence if there are none.
+    with its place and name, and "n_bogies", the number of bogies whose parts are read.
     """
-    several = list(entries)
-    read = [entry for entry in several if set(BOGIE_PARTS) & set(entry[2].outputs)]
+    read = [entry for entry in entries if set(BOGIE_PARTS) & set(entry[2].outputs)]
     worst = sorted(read, key=lambda entry: -entry[2].severity)[:MAX_BOGIES]
     return {
         "bogies": [(where, name, bogie_of(state, plan)) for where, name, state in worst],
         "n_bogies": len(read),
-        "no_part": "" if read or not several else NONE_NAMED,
     }
 
 
@@ -171,20 +161,3 @@ def visits_of(plan: Plan | None, state: State) -> dict[str, str]:
         for job in visit.jobs
         if job.part.place == place and job.part.parameter in BOGIE_PARTS
     }
-
-
-def why_no_part(trips: Iterable[TripResult], outputs: Iterable[str]) -> str:
-    """Return a sentence on why no part, or none of some trips, is named; empty if all are.
-
-    `trips` are in the order of the mileage: it gives the reason of the newest one.
-    """
-    reasons = [(trip.trip, trip.quality.no_part) for trip in trips if trip.quality.no_part]
-    has_parts = bool(set(BOGIE_PARTS) & set(outputs))
-    if not reasons:
-        return "" if has_parts else NONE_NAMED
-    trip, reason = reasons[-1]
-    if len(reasons) > 1:
-        reason = Finding("of-newest-trip", words=reason, trip=trip)
-    if has_parts:
-        return Finding("no-part-on-trips", n=len(reasons), reason=reason)
-    return Finding("no-part-at-all", reason=reason)

@@ -15,8 +15,6 @@ from suspnet.ground.records import TripResult
 from suspnet.ground.storage import printable
 from suspnet.ground.wording import kilometres, thousands
 from suspnet.runs.language import N_
-from suspnet.trains.maintenance.relative import first_trips
-from suspnet.trains.maintenance.state import UNKNOWN_HEALTHY
 from suspnet.trains.pages.tables import files_read_as
 from suspnet.trains.trips.commissionings import eras, speed_words
 
@@ -27,22 +25,13 @@ def report_details(
     results: list[TripResult],
     limits: Mapping[str, Limits],
     level: float,
-    n_reference: int | None,
 ) -> dict[str, str]:
     """Return the details of a report: model, settings and version.
 
-    `level` is the probability of the intervals, and `n_reference` the number of first trips that
-    define healthy (None: the models do).
+    `level` is the probability of the intervals.
     """
     first = models[0]
     healthy = together((healthy_words(era[0]) for era in eras(models)), "; then ")
-    if n_reference is not None:
-        reference = first_trips(results, n_reference)
-        n_flagged = sum(bool(r.flags) for r in reference)
-        flagged = Finding("of-them-flagged", n=n_flagged) if n_flagged else ""
-        median = Finding("first-trips-median", n=len(reference)) if reference else ""
-        missing = missing_reference(results, n_reference)
-        healthy = together((together((median, flagged), ", "), missing))
     misfits = together((misfit_words(era[0]) for era in eras(models)), "; then ")
     return {
         N_("trips"): printable(str(folder)),
@@ -72,16 +61,6 @@ def _interval_words(model: Model, level: float) -> str:
     if not isinstance(model, FittedMethod) or model.intervals is None:
         return "none: the model was trained with data.n_calibrate=null"
     return Finding("calibrated", level=100 * level, n_scores=len(model.intervals.conformal.scores))
-
-
-def missing_reference(results: list[TripResult], n_reference: int | None) -> str:
-    """Return what the first trips lack to define healthy; empty if nothing."""
-    if n_reference is None:
-        return ""
-    n = len(first_trips(results, n_reference))
-    if n == n_reference:
-        return ""
-    return Finding("reference-lacks", why=UNKNOWN_HEALTHY, n=n, n_needed=n_reference)
 
 
 def healthy_words(model: Model) -> str:

@@ -19,9 +19,9 @@ from suspnet.trains.maintenance.series import N_LAST
 from suspnet.trains.maintenance.state import State
 
 LISTED = 5  # trips that are listed for a failing sensor
-DEAD = "dead-left-out", "dead-read-alone", "dead-before"
+DEAD = "dead-left-out", "dead-read-alone"
 """Kinds of the faults of a sensor that shows nothing."""
-FAILING = *DEAD, "loose", "loose-of-pair", "loose-before"
+FAILING = *DEAD, "loose", "loose-of-pair"
 
 
 def _failing(result: TripResult, kinds: Collection[str] = FAILING) -> dict[str, Finding]:

@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 from matplotlib.figure import Figure
 from tabulate import tabulate
 
-from suspnet.ground.findings import NO_PART, Finding, together
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, PARAMETERS, Cause, Severity
 from suspnet.ground.records import OK, TripResult
 from suspnet.ground.storage import write_atomically, write_json, write_table
@@ -41,7 +41,6 @@ from suspnet.trains.pages.overview import (
     same_columns,
 )
 from suspnet.trains.pages.report import Report, write_report
-from suspnet.trains.pages.tables import split_outputs
 from suspnet.trains.pages.templates import write_page
 from suspnet.trains.pages.trend import health_trend, small_trends, trend_of_trips
 
@@ -51,16 +50,15 @@ COVERAGE_PERCENT = "intervals hold %"
 
 def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
     """Return a table of all trips, errors where the truth is known, and all reasons and flags."""
-    columns, equal = split_outputs(outputs)
-    of_parts = [name for name in columns if name in BOGIE_PARTS]
+    of_parts = [name for name in outputs if name in BOGIE_PARTS]
     read = {name for result in results for name in result.estimates}
-    columns = [name for name in columns if name in read and name not in BOGIE_PARTS]
+    columns = [name for name in outputs if name in read and name not in BOGIE_PARTS]
     rows: list[dict[str, Any]] = []
     for r in results:
         row = {"trip": r.trip, "1000 km": r.mileage_km / 1000}
         row |= {name: r.estimates.get(name) for name in columns}
         if of_parts:  # a table of its own has the estimates
-            row["worn parts"] = _worn(r, equal)
+            row["worn parts"] = r.worn
         state = "flagged" if r.flags else "" if r.status == OK else r.status
         rows.append(row | {"averages": r.quality.n_averages, "state": state})
     header = list(rows[0]) if rows else ["trip"]
@@ -85,15 +83,6 @@ def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
     return "\n".join([*lines, *_reasons(results)])
 
 
-def _worn(result: TripResult, equal: Sequence[str]) -> str:
-    """Return the worn parts of a trip, or what it shows in their place: both sides as equal."""
-    if not result.quality.no_part:
-        return result.worn
-    estimates = result.estimates
-    values = [f"{name} {100 * estimates[name]:.4g}" for name in equal if name in estimates]
-    return f"not read; both sides as equal: {', '.join(values)} %" if values else "not read"
-
-
 def _part_table(results: Sequence[TripResult], parts: Sequence[str]) -> str:
     """Return a row for each part: first and newest trip [%], and errors where truth is known."""
     errors, held = errors_percent(results, parts), coverage_percent(results, parts)
@@ -113,17 +102,12 @@ def _part_table(results: Sequence[TripResult], parts: Sequence[str]) -> str:
 def _reasons(results: Sequence[TripResult]) -> list[str]:
     """Return a paragraph for each reason and flag with its trips, as Markdown.
 
-    Trips without an estimate or without their parts also say which faults their sensors have.
+    Trips without an estimate also say which faults their sensors have.
     """
     trips: dict[str, list[str]] = {}
     for result in results:
-        why = [
-            result.reason or result.flags,
-            result.quality.no_part and Finding(NO_PART, words=result.quality.no_part),
-        ]
-        if result.status != OK or result.quality.no_part:
-            why.append(result.quality.faults)
-        if words := together(why):
+        faults = "" if result.status == OK else result.quality.faults
+        if words := together((result.reason or result.flags, faults)):
             trips.setdefault(words, []).append(result.trip)
     return [f"\n{', '.join(names)}: {words}" for words, names in trips.items()]
 

@@ -22,7 +22,7 @@ from suspnet.trains.maintenance.alarms import Acknowledgement, newest_of
 from suspnet.trains.maintenance.assessment import Assessment, joined, overall, worst_first
 from suspnet.trains.maintenance.series import N_LAST, Event
 from suspnet.trains.maintenance.state import State
-from suspnet.trains.pages.bogie import bogie_of, small_figures, why_no_part
+from suspnet.trains.pages.bogie import bogie_of, small_figures
 from suspnet.trains.pages.failing_sensors import failing_words
 from suspnet.trains.pages.tables import sensor_rows, trip_table
 from suspnet.trains.pages.templates import KILO, SEVERITIES, with_unit, write_page
@@ -158,7 +158,6 @@ def write_report(
         limits=state.limits,
         alarms=[(alarm, newest_of(alarm, report.seen)) for alarm in alarms],
         bogie=bogie_of(state),
-        no_part=why_no_part(trips, report.outputs),
         small=small_figures(state, drawn_parts),
         small_words=gettext(SMALL_SHOWN).format(**shown),
         trend=embedded.pop("trend", None),

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from suspnet.ground.findings import Finding, together
-from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS
 from suspnet.ground.records import OK, TripResult
 from suspnet.ground.wording import files_of
 from suspnet.runs.language import N_
@@ -23,38 +22,17 @@ from suspnet.trains.maintenance.series import Series
 class TripTable:
     """Arguments of the macro `trip_table` of macros.html.
 
-    `outputs` are parameters, a column each. Where these are parts, `equal` are those of both sides
-    as equal, of trips that do not show their parts. `halves` are half widths of the intervals by
-    parameter, [% of healthy], NaN for none or a flagged trip; `digits` are decimals by parameter.
+    `outputs` are parameters, a column each. `halves` are half widths of the intervals by parameter,
+    [% of healthy], NaN for none or a flagged trip; `digits` are decimals by parameter.
     `level` is the probability of the intervals, [%], empty if no trip has one.
     """
 
     trips: tuple[TripResult, ...]
     outputs: tuple[str, ...]
-    equal: tuple[str, ...]
     halves: dict[str, list[float]]
     digits: dict[str, int]
     level: str
     ok: str = OK
-
-    def of_equal_sides(self, trip: TripResult) -> list[str]:
-        """Return the parameters of both sides as equal that a trip has in place of its parts."""
-        return [name for name in self.equal if name in trip.estimates]
-
-    def parameters_of(self, trip: TripResult) -> list[str]:
-        """Return what is shown of a trip: the columns, or what it has in place of its parts."""
-        equal = self.of_equal_sides(trip)
-        return [*equal, *(name for name in self.outputs if not equal or name == BODY_MASS)]
-
-
-def split_outputs(outputs: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return the parameters with a column, and those of both sides as equal next to parts.
-
-    The latter belong to trips that do not show their parts.
-    """
-    has_parts = bool(set(outputs) & set(BOGIE_PARTS))
-    equal = [name for name in outputs if has_parts and name not in (*BOGIE_PARTS, BODY_MASS)]
-    return [name for name in outputs if name not in equal], equal
 
 
 def trip_table(trips: Sequence[TripResult], outputs: Sequence[str], level: float) -> TripTable:
@@ -63,8 +41,7 @@ def trip_table(trips: Sequence[TripResult], outputs: Sequence[str], level: float
     has_intervals = any(math.isfinite(half) for column in halves.values() for half in column)
     digits = {name: interval_digits(column) for name, column in halves.items()}
     text = f"{100 * level:g}" if has_intervals else ""
-    columns, equal = split_outputs(outputs)
-    return TripTable(tuple(trips), tuple(columns), tuple(equal), halves, digits, text)
+    return TripTable(tuple(trips), tuple(outputs), halves, digits, text)
 
 
 def _half_width(result: TripResult, name: str) -> float:

@@ -101,15 +101,6 @@ def _relative_truth(result: TripResult, healthy: Sequence[Mapping[str, float]]) 
     return replace(result, truth=divided(result.truth, medians(healthy, names)))
 
 
-def check_one_reference(models: Sequence[Model]) -> None:
-    """Raise ValueError for several commissionings: first trips define only one reference."""
-    if len(eras(models)) > 1:
-        raise ValueError(
-            "monitor.reference=first_trips is for one healthy state, and run= names several "
-            "commissionings: leave it out, or give one run"
-        )
-
-
 def check_models(models: Sequence[Model]) -> tuple[str, ...]:
     """Return the outputs of models that can read trips together.
 

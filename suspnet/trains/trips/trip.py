@@ -180,7 +180,6 @@ def _of_estimate(estimate: Estimate) -> dict[str, Any]:
     return {
         "status": OK,
         "estimates": by_name(estimate.values[0]),
-        "raw": by_name(estimate.values[0]),
         "half_widths": by_name(estimate.half_widths[0]),
         "healthy_si": by_name(healthy.values),
         "healthy_half_widths": by_name(healthy.half_widths(estimate.level)),
