@@ -170,9 +170,3 @@ def test_trains_with_nonlinear_laws_are_stepped_and_written_alike(tmp_path):
 
 
 # failure
-
-
-def test_sides_must_be_known(tmp_path):
-    with pytest.raises(ValueError, match="`sides` must be one of"):
-        write_train_trips(tmp_path, RichTrain(), [WORN], fleet_of(), 0, sides="both")
-    assert not list(tmp_path.iterdir())
