@@ -25,10 +25,7 @@ from suspnet.trains.trips.commissionings import models_of, place_of
 pytestmark = pytest.mark.usefixtures("blank")
 FEW = ["data.n_train=100", "data.n_test=20", "data.n_calibrate=null", *QUIET]
 TRIPS = [*FEW, "experiment=trips", "data.minutes=5", "data.segment_s=5", "model=linear"]
-PLACES = {
-    "one": Place("S1", "leading", "", "1", "1"),
-    "two": Place("S1", "trailing", "", "1", "1"),
-}
+PLACES = {"one": Place("S1", "leading", "", "1", "1"), "two": Place("S1", "trailing", "", "1", "1")}
 
 
 @pytest.fixture(scope="module")

@@ -100,10 +100,7 @@ def test_structs_and_matrices_have_columns(tmp_path):
 
 @pytest.mark.parametrize(
     ("suffix", "reader", "module", "extra"),
-    [
-        (".mf4", open_mdf, "asammdf", "mdf"),
-        (".tdms", open_tdms, "nptdms", "tdms"),
-    ],
+    [(".mf4", open_mdf, "asammdf", "mdf"), (".tdms", open_tdms, "nptdms", "tdms")],
 )
 def test_missing_extra_is_named(tmp_path, monkeypatch, suffix, reader, module, extra):
     monkeypatch.setitem(READERS, suffix, reader)  # not in another process

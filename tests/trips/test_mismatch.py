@@ -4,19 +4,17 @@ import math
 import re
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 import pytest
-import rich_motion
 import torch
 import trip_fixtures
 from reference import phasors
 from rich_motion import BergFriction, simulate
-from rich_trips import PARTS, SENSORS, drawn_ratios, off_ratios, write_rich_trips
+from rich_trips import SENSORS, drawn_ratios, off_ratios, write_rich_trips
 from rich_vehicle import RichVehicle, bending_shape, build
 from scipy.integrate import solve_ivp
 from trips_reference import pitching_matrices, pitching_numbers, pitching_transfer
@@ -35,8 +33,6 @@ LAGS_S = np.array([0.0, 2.7, 19.0, 21.7]) / SPEED
 HEALTHY = np.ones(5)
 DEGRADED = np.array([0.8, 1.3, 1.2, 0.7, 1.1])
 NEVER = {"blow_off_m_per_s": 1e6}
-FULL = RichVehicle(**dict.fromkeys(PARTS, True))
-LINEAR = replace(FULL, friction_share=1e-12, **NEVER)
 BENT = RichVehicle(bending=True)
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "mismatch.py"
 
@@ -242,19 +238,6 @@ def test_friction_rises_by_half_of_its_limit_and_cycles_as_berg_says():
 
 
 # property
-
-
-@pytest.mark.slow
-def test_trips_and_blocks_do_not_depend_on_each_other(monkeypatch):
-    tracks = [waves([2.0, 6.0], velocity=0.1), waves([3.0, 7.0], velocity=0.2)]
-    together = simulate([HEALTHY, DEGRADED], FULL, tracks, 500.0, 1000, 300)
-    monkeypatch.setattr(rich_motion, "BLOCK", 77)
-    alone = [
-        simulate([row], FULL, [track], 500.0, 1000, 300)[0]
-        for row, track in zip((HEALTHY, DEGRADED), tracks, strict=True)
-    ]
-    np.testing.assert_allclose(together, alone, rtol=0, atol=1e-9 * np.abs(together).max())
-    assert relative_error(together[0], together[1]) > 0.1
 
 
 # trips

@@ -8,7 +8,7 @@ import pytest
 import torch
 from reference import phasors
 from rich_effects import EFFECTS, FAMILY, ROUGH
-from rich_modes import Modes, simulate_modes
+from rich_modes import simulate_modes
 from rich_motion import simulate
 from rich_spectra import (
     SIDES,
@@ -23,7 +23,6 @@ from rich_structure import second_bending_shape
 from rich_train import RichTrain
 from rich_train_trips import true_ratios
 from rich_vehicle import RichVehicle, bending_shape
-from scipy.signal import csd
 from trips_reference import pitching_matrices, pitching_numbers
 from vehicles import AM96
 
@@ -180,26 +179,6 @@ def test_laws_act_on_both_sides_as_on_the_half_vehicle():
         size = np.abs(expected[sensor // 2]).max()
         # the step's error is another one: each damper is implicit in its own force
         np.testing.assert_allclose(one, expected[sensor // 2], rtol=0, atol=1e-4 * size)
-
-
-@pytest.mark.slow  # test_drawn_estimates_scatter_about_the_expected_ones
-def test_spectra_are_those_of_a_long_trip():
-    train, rate_hz = RichTrain.scattered(2), 200.0
-    n, rng = 200_000, np.random.default_rng(0)
-    lags = np.rint(train.behind_m / SPEED * rate_hz).astype(int)
-    white = rng.standard_normal((3, n + lags.max()))
-    inputs = np.concatenate([[w[lags.max() - lag :][:n] for lag in lags] for w in white])
-    found = Modes(train.matrices(WORN), rate_hz).advance(np.pad(inputs, ((0, 0), (1, 1))))[0::2]
-    f, measured = csd(found[:, None], found[None], rate_hz, nperseg=4096)
-    band = (f > 0.5) & (f < 12)
-    late = np.exp(-2j * np.pi * f[band, None] * lags / rate_hz)
-    arrivals = np.kron(np.eye(3), np.ones((4, 1))) * np.tile(late, 3)[..., None]
-    response = train.matrices(WORN).responses(f[band], arrivals)[:, 0::2]
-    expected = np.einsum("fip,fjp->jif", response, response.conj()) * 2 / rate_hz  # E[conj(X) Y]
-    size = np.sqrt(np.einsum("iif->if", expected).real)
-    error = (measured[..., band] - expected) / (size[:, None] * size[None])
-    assert np.sqrt(np.mean(np.abs(error) ** 2)) < 0.15  # 97 segments, overlapping
-    assert np.abs(error.mean(axis=-1)).max() < 0.02
 
 
 def test_second_bending_is_that_of_a_free_beam():
