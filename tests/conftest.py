@@ -144,6 +144,27 @@ def _configurations_composed_once():
 
 
 @pytest.fixture(scope="module")
+def healthy_trips_read_once():
+    """Read the recording of a healthy trip, under whatever name, once in a module."""
+    from dataclasses import replace
+    from pathlib import Path
+
+    from suspnet.trains.identification import healthy_trips
+
+    load, known = healthy_trips.load_recording, {}
+
+    def loaded(manifest, *others):
+        key = repr((replace(manifest, path=Path(), name=""), others))
+        if key not in known:
+            known[key] = load(manifest, *others)
+        return replace(known[key], manifest=manifest)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(healthy_trips, "load_recording", loaded)
+        yield
+
+
+@pytest.fixture(scope="module")
 def trips_fitted_once():
     """Fit the same trips once for all boards of a module, which is most of the time of a view."""
     import pickle
