@@ -366,7 +366,7 @@ def test_healthy_trips_of_different_temperatures_show_the_slopes_of_damping(comm
     assert max(found.law.deviations) < 2e-4
     np.testing.assert_allclose(found.masses, (*MASSES, MASSES[0]), rtol=0.02)
     # without their temperatures the trips are not explained, and equal ones tell no slope
-    assert commission_bogie(VEHICLE, trips).misfit > 1.2
+    assert commission_bogie(VEHICLE, trips[:3]).misfit > 1.2
     alike = commission_bogie(VEHICLE, trips[1:2] * 3, [20.0] * 3)
     assert alike.law == DampingByTemperature(20.0)
     assert commissioned.law is None
