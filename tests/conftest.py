@@ -145,7 +145,7 @@ def _configurations_composed_once():
 
 @pytest.fixture(scope="module")
 def healthy_trips_read_once():
-    """Read a healthy trip, under whatever name, and look for its sensors once in a module."""
+    """Read the recording of a healthy trip, under whatever name, once in a module."""
     from dataclasses import replace
     from pathlib import Path
 
@@ -159,18 +159,32 @@ def healthy_trips_read_once():
             known[key] = load(manifest, *others)
         return replace(known[key], manifest=manifest)
 
-    look, places = healthy_trips.elsewhere, {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(healthy_trips, "load_recording", loaded)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _sensors_looked_for_once():
+    """Look for the sensors of the same spectra once in a process: it takes half of a check.
+
+    tests/identification/test_sensor_places.py looks for those that are not in their place.
+    """
+    from suspnet.trains.identification import healthy_trips
+    from suspnet.trains.trips import sensor_checks
+
+    look, known = healthy_trips.elsewhere, {}
 
     def looked(generator, settings, trip, direction):
         numbers = trip.spectra.cross.numpy().tobytes(), trip.spectra.n_averages
         key = repr((generator, settings, trip.speeds, trip.left_out, direction)), numbers
-        if key not in places:
-            places[key] = look(generator, settings, trip, direction)
-        return places[key]
+        if key not in known:
+            known[key] = look(generator, settings, trip, direction)
+        return known[key]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(healthy_trips, "load_recording", loaded)
-        patch.setattr(healthy_trips, "elsewhere", looked)
+        for module in (healthy_trips, sensor_checks):
+            patch.setattr(module, "elsewhere", looked)
         yield
 
 
