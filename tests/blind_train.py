@@ -185,11 +185,7 @@ class Motion:
     def body(self, x, y, z):
         at = np.zeros((3, self.n_coordinates))
         shape, slope = bending_shape(x, self.train.body_length_m)
-        at[:, :6] = [
-            [0, 0, 0, z, -y, -z * slope],
-            [1, 0, -z, 0, x, 0],
-            [0, 1, y, -x, 0, shape],
-        ]
+        at[:, :6] = [[0, 0, 0, z, -y, -z * slope], [1, 0, -z, 0, x, 0], [0, 1, y, -x, 0, shape]]
         return at
 
     def frame(self, bogie, x, y, z):

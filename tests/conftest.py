@@ -144,6 +144,51 @@ def _configurations_composed_once():
 
 
 @pytest.fixture(scope="module")
+def healthy_trips_read_once():
+    """Read the recording of a healthy trip, under whatever name, once in a module."""
+    from dataclasses import replace
+    from pathlib import Path
+
+    from suspnet.trains.identification import healthy_trips
+
+    load, known = healthy_trips.load_recording, {}
+
+    def loaded(manifest, *others):
+        key = repr((replace(manifest, path=Path(), name=""), others))
+        if key not in known:
+            known[key] = load(manifest, *others)
+        return replace(known[key], manifest=manifest)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(healthy_trips, "load_recording", loaded)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _sensors_looked_for_once():
+    """Look for the sensors of the same spectra once in a process: it takes half of a check.
+
+    tests/identification/test_sensor_places.py looks for those that are not in their place.
+    """
+    from suspnet.trains.identification import healthy_trips
+    from suspnet.trains.trips import sensor_checks
+
+    look, known = healthy_trips.elsewhere, {}
+
+    def looked(generator, settings, trip, direction):
+        numbers = trip.spectra.cross.numpy().tobytes(), trip.spectra.n_averages
+        key = repr((generator, settings, trip.speeds, trip.left_out, direction)), numbers
+        if key not in known:
+            known[key] = look(generator, settings, trip, direction)
+        return known[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (healthy_trips, sensor_checks):
+            patch.setattr(module, "elsewhere", looked)
+        yield
+
+
+@pytest.fixture(scope="module")
 def trips_fitted_once():
     """Fit the same trips once for all boards of a module, which is most of the time of a view."""
     import pickle

@@ -248,13 +248,6 @@ def test_ratios_scale_the_part_of_their_name():
     assert heavy.body_kg * heavy.bending_hz**2 == pytest.approx(train.body_kg * train.bending_hz**2)
 
 
-def test_parts_of_a_kind_differ_by_five_percent():
-    kinds = [Train.scattered(s).primary_c for s in range(100)]
-    means = [Train.scattered(s, unequal=0.0).primary_c for s in range(100)]
-    assert np.std(np.divide(kinds, means)) == pytest.approx(0.05, abs=0.005)
-    assert np.std(np.log(means)) == pytest.approx(0.09, abs=0.02)
-
-
 def test_trip_is_read_as_it_was_written(tmp_path):
     run = Run(minutes=2.0, direction="reverse", speed_m_per_s=61.5)
     train = replace(Train.scattered(0), sensitivity=np.linspace(0.98, 1.02, 6))
@@ -267,11 +260,3 @@ def test_trip_is_read_as_it_was_written(tmp_path):
     np.testing.assert_allclose(noise.std(axis=1) / clean.std(axis=1), 10**-1.7, rtol=0.02)
     ideal = record(replace(train, sensitivity=np.ones(6)), Track(), replace(run, noise=False), 7)
     np.testing.assert_allclose(clean / ideal, train.sensitivity[:, None] + 0 * ideal, rtol=1e-6)
-
-
-def test_delay_makes_a_sensor_late():
-    train = replace(Train(), delay_s=np.array([0.01, 0, 0, 0, 0, 0]))
-    run = Run(minutes=1.0, noise=False)
-    late, ideal = record(train, Track(), run, 7), record(Train(), Track(), run, 7)
-    np.testing.assert_allclose(late[0, 2:], ideal[0, :-2], atol=1e-9)
-    np.testing.assert_allclose(late[1:], ideal[1:], atol=1e-12)

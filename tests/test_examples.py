@@ -42,11 +42,7 @@ def run(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "script",
-    SCRIPTS,
-    ids=lambda script: script.stem,
-)
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
 def test_example_runs_without_a_warning_and_draws_what_a_phone_can_show(script, run):
     printed, figures = run(script)
     assert printed

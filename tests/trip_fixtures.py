@@ -47,12 +47,7 @@ class NoLog:
 
 @cache
 def model_at(
-    speed=SPEED,
-    n_train=1000,
-    snr_db=34.0,
-    n_calibrate=N_CALIBRATE,
-    direction="forward",
-    **changes,
+    speed=SPEED, n_train=1000, snr_db=34.0, n_calibrate=N_CALIBRATE, direction="forward", **changes
 ):
     """Return a model for the small fleet's vehicle, sensors and length of trips."""
     generator = VerticalVehicle(AM96, speed_m_per_s=speed, direction=direction)

@@ -222,11 +222,7 @@ def test_best_possible_is_the_cramer_rao_bound_elsewhere(task, quarter_car, name
 
 @pytest.mark.parametrize(
     ("outputs", "varied"),
-    [
-        (["c_s"], ("c_s", "M_s")),
-        (["k_p", "k_s"], ("k_s", "M_s")),
-        (["k_p", "k_s", "c_s"], ()),
-    ],
+    [(["c_s"], ("c_s", "M_s")), (["k_p", "k_s"], ("k_s", "M_s")), (["k_p", "k_s", "c_s"], ())],
 )
 def test_best_possible_is_the_bound_of_what_varies(quarter_car, outputs, varied):
     """G_s alone with the mass unknown: separable unless springs and dampers vary together."""

@@ -3,7 +3,6 @@
 import json
 import logging
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from cli_runner import QUIET, run_composed, run_program
@@ -17,18 +16,14 @@ from suspnet.ground import ledger
 from suspnet.ground.records import Place
 from suspnet.ground.storage import write_json
 from suspnet.runs.evaluate import find_runs
-from suspnet.trains.identification import healthy_trips
 from suspnet.trains.jobs import commissioning as run
 from suspnet.trains.pages.commissioning_page import as_json
 from suspnet.trains.trips.commissionings import models_of, place_of
 
-pytestmark = pytest.mark.usefixtures("blank")
+pytestmark = pytest.mark.usefixtures("blank", "healthy_trips_read_once")
 FEW = ["data.n_train=100", "data.n_test=20", "data.n_calibrate=null", *QUIET]
 TRIPS = [*FEW, "experiment=trips", "data.minutes=5", "data.segment_s=5", "model=linear"]
-PLACES = {
-    "one": Place("S1", "leading", "", "1", "1"),
-    "two": Place("S1", "trailing", "", "1", "1"),
-}
+PLACES = {"one": Place("S1", "leading", "", "1", "1"), "two": Place("S1", "trailing", "", "1", "1")}
 
 
 @pytest.fixture(scope="module")
@@ -62,22 +57,6 @@ def fitted(monkeypatch):
 
     monkeypatch.setattr(run, "commission", commission)
     return bogies
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _read_once():
-    """Read the recording of a trip, under whatever name, once."""
-    load, known = healthy_trips.load_recording, {}
-
-    def loaded(manifest, *others):
-        key = repr((replace(manifest, path=Path(), name=""), others))
-        if key not in known:
-            known[key] = load(manifest, *others)
-        return known[key]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(healthy_trips, "load_recording", loaded)
-        yield
 
 
 @pytest.fixture

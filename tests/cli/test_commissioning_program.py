@@ -18,7 +18,7 @@ from suspnet.estimation.checkpoint import load_model
 from suspnet.ground.storage import write_json
 from suspnet.trains.jobs import commissioning as run
 
-pytestmark = pytest.mark.usefixtures("blank")
+pytestmark = pytest.mark.usefixtures("blank", "healthy_trips_read_once")
 FEW = ["data.n_train=100", "data.n_test=20", "data.n_calibrate=null", *QUIET]
 TRIPS = [*FEW, "experiment=trips", "data.minutes=5", "data.segment_s=5", "model=linear"]
 

@@ -150,15 +150,11 @@ GO_ON = "go on with the same command and resume=outputs/"
 @pytest.mark.parametrize(
     ("module", "step", "arguments", "hint"),
     [
-        pytest.param(
-            *(train, "train", LINEAR, "start again at any time"),
-            marks=pytest.mark.slow,
-        ),
+        pytest.param(*(train, "train", LINEAR, "start again at any time"), marks=pytest.mark.slow),
         (train, "train", ["-m", "seed=0,1", *LINEAR], GO_ON),
         (simulate, "write_fleet", ["out=trips"], "start again at any time"),
         pytest.param(
-            *(evaluate, "named_runs", ["run=x", "trips=y"], GO_ON),
-            marks=pytest.mark.slow,
+            *(evaluate, "named_runs", ["run=x", "trips=y"], GO_ON), marks=pytest.mark.slow
         ),
     ],
 )

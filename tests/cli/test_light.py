@@ -51,7 +51,7 @@ def test_the_part_of_the_paper_needs_no_extra(tmp_path):
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.representatives(2)
+@pytest.mark.representatives(1)
 @pytest.mark.parametrize(
     ("words", "extra"),
     [

@@ -8,14 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from cli_runner import (
-    ROOT,
-    blank_figures,
-    command,
-    python,
-    run_program,
-    typed,
-)
+from cli_runner import ROOT, blank_figures, command, python, run_program, typed
 from hydra import compose, initialize_config_dir
 from trip_fixtures import RATES_HZ, changed, model_at, signal
 from trip_records import HALF_WIDTHS
@@ -193,10 +186,7 @@ def test_whole_way_as_a_user_with_two_workers_and_dask(tmp_path):
     assert [ended.returncode for ended in made] == [0, 0], made
     program = ["evaluate.py", "run=run", "trips=trips", "progress=false"]
     found = []
-    for name, options in (
-        ("one", ["monitor.workers=1"]),
-        ("two", ["monitor.workers=2"]),
-    ):
+    for name, options in (("one", ["monitor.workers=1"]), ("two", ["monitor.workers=2"])):
         ended = command(*program, f"hydra.run.dir={name}", *options, cwd=tmp_path)
         assert ended.returncode == 0, ended.stderr
         table = pq.read_table(tmp_path / name / "trips.parquet").to_pydict()

@@ -10,11 +10,7 @@ from suspnet.curves.problem import CALIBRATE, TEST, TRAIN
 from suspnet.curves.protocols import Protocol
 from suspnet.vehicle import PARAMETERS
 
-GROUP = {
-    "outputs": ["k_p", "c_p"],
-    "responses": ["G_p"],
-    "peaks": ["primary_largest"],
-}
+GROUP = {"outputs": ["k_p", "c_p"], "responses": ["G_p"], "peaks": ["primary_largest"]}
 VARIED = {"primary": [0, 1, 4], "secondary": [2, 3, 4], "all": [0, 1, 2, 3, 4]}
 
 

@@ -113,25 +113,6 @@ def test_bounds_are_those_of_the_whole_information_with_the_prior(problem):
 # property
 
 
-@pytest.mark.slow  # the fit of scipy's least_squares above has these deviations
-@pytest.mark.parametrize("scale", [0.03, 0.2])
-def test_deviations_are_those_of_the_errors(problem, scale):
-    observer = observer_of(narrow(scale))
-    ratios, misfit, start = observed(observer, problem, 48)
-    found = refine(
-        problem,
-        misfit,
-        start,
-        directions=observer.directions,
-        near=lambda vehicles: observer.misfit(misfit.observed, vehicles),
-    )
-    normalised = np.log(found.ratios / ratios) / found.deviations
-    # 48 trips of 5 numbers: if these are independent 4.6 %, four of those
-    assert np.sqrt((normalised**2).mean()) == pytest.approx(1.0, abs=0.19)
-    assert 0.83 < (np.abs(normalised) < 1.645).mean() < 0.97
-    assert np.median(found.misfit) == pytest.approx(1.0, abs=0.03)
-
-
 def test_known_numbers_give_a_poor_fit_where_they_are_uncertain(problem):
     observer = observer_of(narrow(0.2))
     _, misfit, start = observed(observer, problem, 4)

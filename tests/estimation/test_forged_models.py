@@ -184,21 +184,16 @@ def tried(name, folders, folder, n_mutations, seed):
     return counts, others
 
 
-@pytest.mark.parametrize("name", ["linear", pytest.param("trips", marks=pytest.mark.slow)])
-def test_some_forged_models_are_refused_or_harmless(name, folders, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("name", "n", "n_refused"),
+    [("linear", 12, 6), *(pytest.param(m, 200, 120, marks=pytest.mark.slow) for m in METHODS)],
+)
+def test_forged_models_are_refused_or_harmless(name, n, n_refused, folders, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    counts, _ = tried(name, folders, tmp_path, 12, 0)
-    assert sum(counts.values()) == 12
-    assert counts["refused"] >= 6
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", METHODS)
-def test_forged_models_are_refused_or_harmless(name, folders, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    counts, others = tried(name, folders, tmp_path, 200, 1)
+    counts, others = tried(name, folders, tmp_path, n, n // 200)
     print(name, counts, *others, sep="\n  ")
-    assert counts["refused"] >= 120
+    assert sum(counts.values()) <= n
+    assert counts["refused"] >= n_refused
     assert counts["another"] + counts["refused when used"] <= 6
 
 

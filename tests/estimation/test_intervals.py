@@ -267,8 +267,3 @@ def test_missing_arrays_are_named(intervals, name):
 def test_arrays_that_do_not_fit_are_rejected(intervals, name, array, message):
     with pytest.raises(ValueError, match=message):
         Intervals.restored(intervals.state() | {name: array})
-
-
-def test_level_out_of_range_is_rejected(intervals):
-    with pytest.raises(ValueError, match="`level` must be a finite number > 0 and < 1, got 90"):
-        intervals.ends(np.ones((1, 2)), np.ones((1, 2)), 90)

@@ -1,7 +1,6 @@
 """Refined estimates against the Cramer-Rao bound and scipy; bad starts, limits, other models."""
 
 import math
-from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -253,40 +252,6 @@ def test_one_curve_gives_the_same_numbers_alone_as_in_a_batch(joint):
         for row in range(n)
     ]
     agree(Refined.joined(parts), together, deviations=1e-7)
-
-
-@dataclass(frozen=True)
-class OtherRounding:
-    """A misfit with the rounding of another processor."""
-
-    misfit: CurveMisfit
-    random: torch.Generator
-
-    @property
-    def observed(self):
-        return self.misfit.observed
-
-    @property
-    def expected(self):
-        return self.misfit.expected
-
-    def thinned(self):
-        return replace(self, misfit=self.misfit.thinned())
-
-    def __call__(self, ratios, rows):
-        found = self.misfit(ratios, rows)
-        noise = torch.randn(found.shape, generator=self.random, dtype=found.dtype)
-        return found + 1e-14 * noise
-
-
-@pytest.mark.slow  # a batch rounds otherwise: test_one_curve_gives_the_same_numbers_alone_...
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_numbers_do_not_depend_on_rounding(joint, seed):
-    problem, ratios, misfit, _ = joint
-    start = starts(problem, ratios)
-    start[7] = np.nan
-    other = OtherRounding(misfit, torch.Generator().manual_seed(seed))
-    agree(refine(problem, other, start), refine(problem, misfit, start), deviations=2e-7)
 
 
 def test_known_mass_stays_as_measured_and_makes_the_rest_better_known(task):

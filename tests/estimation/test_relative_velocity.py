@@ -40,10 +40,7 @@ SETTINGS = EstimateSettings(
     segment_s=5.0, rates_hz=(1000.0, 500.0, 500.0), high_hz=9.9, body_high_hz=9.0
 ).bound(AM96)
 SOFT = replace(
-    AM96,
-    primary_friction_share=0.1,
-    primary_blow_off_m_per_s=0.05,
-    secondary_blow_off_m_per_s=0.05,
+    AM96, primary_friction_share=0.1, primary_blow_off_m_per_s=0.05, secondary_blow_off_m_per_s=0.05
 )
 GENERATOR = VerticalVehicle(SOFT, distribution={f"healthy_{name}": 0.3 for name in ("c_p", "c_s")})
 

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -75,11 +76,16 @@ def ratios(parts, mass=1.05):
     return np.array([parts.get(name, 1.0) for name in COMPONENTS[:-1]] + [mass])
 
 
+@cache
+def commissioned_bogie():
+    """Return the bogie that three healthy trips show, for all modules that ask for it."""
+    trips = [trip(drawn(VEHICLE, row({}, m), i), 70.0) for i, m in enumerate(MASSES)]
+    return commission_bogie(VEHICLE, trips)
+
+
 @pytest.fixture(scope="module")
 def commissioned():
-    masses = MASSES
-    trips = [trip(drawn(VEHICLE, row({}, m), i), 70.0) for i, m in enumerate(masses)]
-    return commission_bogie(VEHICLE, trips)
+    return commissioned_bogie()
 
 
 # reference
@@ -360,7 +366,7 @@ def test_healthy_trips_of_different_temperatures_show_the_slopes_of_damping(comm
     assert max(found.law.deviations) < 2e-4
     np.testing.assert_allclose(found.masses, (*MASSES, MASSES[0]), rtol=0.02)
     # without their temperatures the trips are not explained, and equal ones tell no slope
-    assert commission_bogie(VEHICLE, trips).misfit > 1.2
+    assert commission_bogie(VEHICLE, trips[:3]).misfit > 1.2
     alike = commission_bogie(VEHICLE, trips[1:2] * 3, [20.0] * 3)
     assert alike.law == DampingByTemperature(20.0)
     assert commissioned.law is None

@@ -16,7 +16,7 @@ from suspnet.curves.cross_spectra import CrossSpectra, moving_average_with, samp
 from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.speeds import Speeds
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
-from suspnet.trains.fits.commissioning import N_STARTS, as_bogie, commission
+from suspnet.trains.fits.commissioning import as_bogie, commission
 from suspnet.trains.fits.healthy_misfit import HealthyMisfit, HealthySpectra
 from suspnet.trains.fits.vehicle_search import FAR, REDRAWN, End, VehicleSearch
 from suspnet.trains.simulation.true_vehicle import scattered
@@ -24,7 +24,6 @@ from suspnet.vehicle import VerticalVehicle
 from suspnet.vehicle.quantities import MASS_MEAN, OF_THE_TRIP, QUANTITIES, UNMEASURED, LogNormal
 
 RATES_HZ = (1000.0, 500.0, 500.0)
-USUAL = EstimateSettings(rates_hz=RATES_HZ).bound(AM96)
 RICH = EstimateSettings(segment_s=10.0, rates_hz=RATES_HZ).bound(AM96)
 """As usual, in half as many bins: enough for the trips of a rich train."""
 SETTINGS = EstimateSettings(segment_s=5.0, rates_hz=RATES_HZ, high_hz=9.9).bound(AM96)
@@ -320,34 +319,6 @@ def test_trips_without_information_leave_the_prior():
 
 
 # Known answers
-
-
-@pytest.mark.slow  # the train of the family's effects is found in this way
-@pytest.mark.parametrize("seeds", [(1,), (0, 1, 3)])
-def test_numbers_drawn_from_the_prior_are_found_within_their_deviations(seeds):
-    generator, errors = with_parts("bushings", "guidance"), []
-    for seed in seeds:
-        numbers = from_prior(generator, seed)
-        groups = trips(generator, numbers, seed, settings=USUAL)
-        found = commission(generator, USUAL, groups, n_starts=1)
-        assert found.converged
-        assert found.misfit == pytest.approx(1.0, abs=0.1)
-        np.testing.assert_allclose(found.masses, MASSES, rtol=0.02)
-        errors.append(off(found.posterior, numbers))
-    # each by itself: jointly, valleys are curved and no normal distribution
-    assert np.abs(errors).max() < 4
-    assert 0.3 < np.mean(np.square(errors)) < 2
-
-
-@pytest.mark.slow  # of the train of the family's effects too
-def test_every_part_is_found_and_several_starts_agree():
-    generator = with_parts(*VERTICAL)
-    numbers = from_prior(generator, 5)
-    found = commission(generator, SETTINGS, trips(generator, numbers, 6, speeds=(70, 50, 80)))
-    assert found.converged
-    assert found.n_agree >= N_STARTS - 1  # one may end in another valley
-    assert np.abs(off(found.posterior, numbers)).max() < 4
-    assert (found.posterior.deviations <= 1.001 * found.prior.deviations).all()
 
 
 @pytest.mark.parametrize(

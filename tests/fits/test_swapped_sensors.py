@@ -70,7 +70,8 @@ def test_fits_decide_where_the_given_order_has_smaller_residuals_at_the_median(m
     one = exchanged(trip(drawn(VEHICLE, row({"k_p_axle1_right": 0.7}), 7), 70.0), 4, 5)
 
     def misfits_in(search, orders):
-        return np.array([1.0 if order == sorted(order) else 1.1 for order in orders])
+        of_order = {tuple(range(6)): 1.0, (0, 1, 2, 3, 5, 4): 1.1}  # others are not fitted
+        return np.array([of_order.get(tuple(order), 9.0) for order in orders])
 
     monkeypatch.setattr(BogieSearch, "misfits_in", misfits_in)
     check_order(VEHICLE, one)
@@ -82,7 +83,7 @@ def test_fits_decide_where_the_given_order_has_smaller_residuals_at_the_median(m
 @pytest.mark.parametrize("end", ["leading", "trailing"])
 def test_healthy_trips_of_the_other_bogie_are_refused(end, misfit):
     """The bogie is looked at where the trips are not explained, and named if it is the reason."""
-    trips = [trip(drawn(VEHICLE, row({}, m), i), 70.0) for i, m in enumerate(MASSES)]
+    trips = [trip(drawn(VEHICLE, row({}, m), i), 70.0) for i, m in enumerate(MASSES[:1])]
     given = replace(VEHICLE, bogie=end)
     if (end, misfit) != ("trailing", 9.0):
         check_bogie(given, trips, misfit)

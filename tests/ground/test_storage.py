@@ -155,10 +155,7 @@ def test_every_truncation_is_noticed(arrays_file):
             read_arrays(arrays_file)
 
 
-@pytest.mark.parametrize(
-    "content",
-    [b"", b"\x89PNG\r\n\x1a\n" + bytes(100), b"PK\x03\x04" * 20],
-)
+@pytest.mark.parametrize("content", [b"", b"\x89PNG\r\n\x1a\n" + bytes(100), b"PK\x03\x04" * 20])
 def test_foreign_files_are_noticed(tmp_path, content):
     path = tmp_path / "foreign.safetensors"
     path.write_bytes(content)

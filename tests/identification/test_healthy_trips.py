@@ -27,6 +27,7 @@ from suspnet.trains.recordings.reader_process import in_own_process
 from suspnet.trains.recordings.recording import load_recording
 from suspnet.vehicle import VerticalVehicle
 
+pytestmark = pytest.mark.usefixtures("healthy_trips_read_once")
 SETTINGS = EstimateSettings(rates_hz=RATES_HZ).bound(AM96)
 NAMES = ["first", "second", "third"]
 

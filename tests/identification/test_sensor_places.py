@@ -62,6 +62,7 @@ def test_another_axle_and_direction_are_named():
     assert said.endswith("correct `direction`, or `bogie`, in the manifests")
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("side", ["mean", "left"])
 @pytest.mark.parametrize("effects", [(), FAMILY, (*FAMILY, *OF_THE_TRIP, "second_bending")])
 def test_trips_of_richer_trains_are_not_doubted(effects, side):

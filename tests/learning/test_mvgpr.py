@@ -2,12 +2,7 @@
 
 import numpy as np
 import pytest
-from learning_reference import (
-    draw_matrix_normal,
-    matrix_normal_logpdf,
-    naive_rbf,
-    smooth_data,
-)
+from learning_reference import draw_matrix_normal, matrix_normal_logpdf, naive_rbf, smooth_data
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel

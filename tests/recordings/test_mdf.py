@@ -98,8 +98,7 @@ def appended(folder: Path, signals, **settings) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("n", "all_invalid", "kind"),
-    [(BLOCK + 10, False, 0), (10, True, 0), (10, False, 6)],
+    ("n", "all_invalid", "kind"), [(BLOCK + 10, False, 0), (10, True, 0), (10, False, 6)]
 )
 def test_invalid_samples_are_missing_at_their_times(tmp_path, n, all_invalid, kind):
     values, at = np.arange(float(n)), np.arange(n) / 100

@@ -225,8 +225,7 @@ def test_bounds_of_uncertain_numbers_are_those_of_the_first_curves(monkeypatch, 
 
 
 @pytest.mark.parametrize(
-    ("zeta", "low_hz", "high_hz", "at_bound"),
-    [(0.01, 0.3, 12.0, True), (0.05, 8.0, 12.0, False)],
+    ("zeta", "low_hz", "high_hz", "at_bound"), [(0.01, 0.3, 12.0, True), (0.05, 8.0, 12.0, False)]
 )
 def test_curve_fit_ends_for_light_damping_and_narrow_bands(zeta, low_hz, high_hz, at_bound):
     v = AM96

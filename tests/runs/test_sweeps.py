@@ -117,6 +117,6 @@ def test_table_of_jobs_has_a_column_for_each_swept_setting(tmp_path):
     ended(Jobs(), tmp_path)
     jobs = list(csv.DictReader((tmp_path / "jobs.csv").read_text().splitlines()))
     assert [(row["job"], row["model.C"], row["seed"]) for row in jobs] == [
-        *(("3", "2", "0"), ("1", "1", "1"), ("0", "1", "0"), ("2", "", ""), ("4", "2", "1")),
+        *(("3", "2", "0"), ("1", "1", "1"), ("0", "1", "0"), ("2", "", ""), ("4", "2", "1"))
     ]
     assert "data.n_train" not in jobs[0]

@@ -36,11 +36,7 @@ def trained(model, protocol, group, folder, *overrides, residual=None):
     )
     chosen = residual and residual(len(problem.settings.frequencies_hz()))
     return train(
-        problem,
-        build(config, "model"),
-        folder,
-        figures=False,
-        context=RunContext(residual=chosen),
+        problem, build(config, "model"), folder, figures=False, context=RunContext(residual=chosen)
     )
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from trip_fixtures import slow_model
+from trip_fixtures import model_at
 from vehicles import AM96
 
 from suspnet.curves.cross_spectra import CrossSpectra
@@ -146,7 +146,7 @@ def test_bins_of_a_line_follow_the_speeds():
 
 
 def test_bins_left_out_do_not_change_an_estimate():
-    model = slow_model()
+    model = model_at()
     observer = model.settings.observer(model.generator)
     mean = observer.expected(torch.tensor([[0.8, 0.7, 1.1, 0.9, 1.05]], dtype=torch.float64))
     spectra = CrossSpectra(mean.auto[0], mean.cross[0], mean.n_averages)

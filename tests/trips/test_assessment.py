@@ -175,10 +175,7 @@ NOTICE = "last-trip-beyond above-notice-limit too-few-lasting"
             *("act", f"inspect-first {ACT} below-act-limit not-clear flagged-last", {"n": 5}),
         ),
         (read(ONES, flagged=[0, 39]), "none", "no-change flagged-last", {"n": 1, "n_ends": 5}),
-        (
-            read(np.where(KM < 155_000, 1, 1.2), parameter="M_s"),
-            *("none", "payload no-change", {}),
-        ),
+        (read(np.where(KM < 155_000, 1, 1.2), parameter="M_s"), *("none", "payload no-change", {})),
         (read([np.nan, np.nan]), "unknown", "", {}),
         (  # the odd flagged trips are left out
             read(

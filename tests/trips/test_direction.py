@@ -6,14 +6,7 @@ import numpy as np
 import pyarrow.csv as pacsv
 import pytest
 import torch
-from trip_fixtures import (
-    RATES_HZ,
-    changed,
-    model_at,
-    recalled_trip,
-    small_fleet,
-    write_trips,
-)
+from trip_fixtures import RATES_HZ, changed, model_at, recalled_trip, small_fleet, write_trips
 from vehicles import AM96
 
 from suspnet.curves.cross_spectra import PAIRS, CrossSpectra

@@ -381,17 +381,6 @@ def test_models_that_cannot_read_trips_are_refused(model):
             check_models([model, replace(model, **changes)])
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"workers": True}, "`workers` must be a whole number >= 1 or null, got True"),
-    ],
-)
-def test_settings_are_checked(change, message):
-    with pytest.raises((TypeError, ValueError), match=message):
-        FleetSettings(TRIPS, **change)
-
-
 # intervals and flags
 
 

@@ -4,19 +4,17 @@ import math
 import re
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 import pytest
-import rich_motion
 import torch
 import trip_fixtures
 from reference import phasors
-from rich_motion import BergFriction, march, simulate
-from rich_trips import PARTS, SENSORS, drawn_ratios, off_ratios, write_rich_trips
+from rich_motion import BergFriction, simulate
+from rich_trips import SENSORS, drawn_ratios, off_ratios, write_rich_trips
 from rich_vehicle import RichVehicle, bending_shape, build
 from scipy.integrate import solve_ivp
 from trips_reference import pitching_matrices, pitching_numbers, pitching_transfer
@@ -35,8 +33,6 @@ LAGS_S = np.array([0.0, 2.7, 19.0, 21.7]) / SPEED
 HEALTHY = np.ones(5)
 DEGRADED = np.array([0.8, 1.3, 1.2, 0.7, 1.1])
 NEVER = {"blow_off_m_per_s": 1e6}
-FULL = RichVehicle(**dict.fromkeys(PARTS, True))
-LINEAR = replace(FULL, friction_share=1e-12, **NEVER)
 BENT = RichVehicle(bending=True)
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "mismatch.py"
 
@@ -68,16 +64,6 @@ def relative_error(found, expected):
     return np.abs(found - expected).max() / np.abs(expected).max()
 
 
-def damper_forces(rich, track, seconds, rate_hz=1000.0):
-    """Return the force of each damper of a degraded vehicle and the velocity of its stretch."""
-    n = round(seconds * rate_hz)
-    x = np.concatenate([x[0] for _, x, _ in march([DEGRADED], rich, [track], rate_hz, n)], axis=1)
-    z, phi, z_1, psi_1, z_2, psi_2 = x[6:12]
-    frames = [z_1 + psi_1, z_1 - psi_1, z_2 + psi_2, z_2 - psi_2]
-    stretching = [z + phi - z_1, z - phi - z_2, *(frames - track(np.arange(n) / rate_hz)[1])]
-    return x[-6:], np.array(stretching)
-
-
 # reference
 
 
@@ -93,21 +79,6 @@ def test_plain_vehicle_moves_as_suspnet_says(effects):
         expected = SampledMotion(system, rate_hz).advance(list(wheels))
         assert relative_error(signals[1:], expected) < 1e-9
         np.testing.assert_array_equal(signals[0], wheels[0])
-
-
-@pytest.mark.slow  # bushings and the contact are each held to closed forms below
-def test_stiff_bushings_and_contacts_leave_the_plain_vehicle():
-    stiff = {"secondary_series_n_per_m": 1e11, "primary_series_n_per_m": 1e11}
-    hard = {"contact_n_per_m": 1e11, "contact_ns_per_m": 1e7}
-    rich = RichVehicle(dampers=True, contact=True, **hard, **stiff, **NEVER)
-    track = waves([0.9, 3.1, 5.4, 9.0, 15.0])
-    found, expected = (
-        simulate([DEGRADED], vehicle, [track], 2000.0, 4000, 30_000)
-        for vehicle in (rich, RichVehicle())
-    )
-    # at 15 Hz a wheelset of 800 kg on 1e11 N/m adds 7e-5, the second derivative of the cubic
-    # (2 pi f / rate)^2 / 12, 2e-4
-    assert relative_error(found, expected) < 4e-4
 
 
 @pytest.mark.slow
@@ -266,37 +237,7 @@ def test_friction_rises_by_half_of_its_limit_and_cycles_as_berg_says():
 # limit
 
 
-@pytest.mark.slow
-def test_force_of_a_damper_stays_within_its_law():
-    track = waves([1.4, 5.2], velocity=0.2)
-    rich = RichVehicle(dampers=True)
-    force, stretching = damper_forces(rich, track, 5.0)
-    limits = rich.blow_off_m_per_s * np.array([0.7 * 22.6e3, 22.6e3, *[1.3 * 1850] * 2, 1850, 1850])
-    fastest = np.abs(stretching).max(axis=1)
-    assert (fastest > 2 * rich.blow_off_m_per_s).all()
-    beyond = limits * (1 + 0.2 * (fastest / rich.blow_off_m_per_s - 1))
-    largest = np.abs(force).max(axis=1)
-    assert (largest > limits).all()
-    assert (largest < 1.001 * beyond).all()
-    # without a slope beyond blow-off the limit is one
-    force, _ = damper_forces(RichVehicle(dampers=True, slope_after=1e-6), track, 5.0)
-    np.testing.assert_allclose(np.abs(force).max(axis=1), limits, rtol=3e-3)
-
-
 # property
-
-
-@pytest.mark.slow
-def test_trips_and_blocks_do_not_depend_on_each_other(monkeypatch):
-    tracks = [waves([2.0, 6.0], velocity=0.1), waves([3.0, 7.0], velocity=0.2)]
-    together = simulate([HEALTHY, DEGRADED], FULL, tracks, 500.0, 1000, 300)
-    monkeypatch.setattr(rich_motion, "BLOCK", 77)
-    alone = [
-        simulate([row], FULL, [track], 500.0, 1000, 300)[0]
-        for row, track in zip((HEALTHY, DEGRADED), tracks, strict=True)
-    ]
-    np.testing.assert_allclose(together, alone, rtol=0, atol=1e-9 * np.abs(together).max())
-    assert relative_error(together[0], together[1]) > 0.1
 
 
 # trips

@@ -150,29 +150,4 @@ def test_service_journeys_begin_and_end_at_rest(tmp_path):
     assert np.abs(body[:250]).max() < 0.05 * np.abs(body).max()
 
 
-@pytest.mark.slow  # test_rich_train.py steps the same laws
-def test_trains_with_nonlinear_laws_are_stepped_and_written_alike(tmp_path):
-    effects = {"bushings", "rubber", "roll", "blow_off", "friction"}
-    train = RichTrain.scattered(1, effects)
-    never = RichTrain(
-        frozenset(effects), **(train.numbers() | {"blow_off_m_per_s": 1e6, "friction_share": 1e-12})
-    )
-    linear = RichTrain(frozenset(effects - {"blow_off", "friction"}), **train.numbers())
-    body = {
-        name: columns(
-            write_train_trips(tmp_path / name, one, [WORN], fleet_of(minutes=0.1), 0)[0], "body"
-        )["left"]
-        for name, one in (("laws", train), ("never", never), ("linear", linear))
-    }
-    size = body["linear"].std()
-    assert (body["never"] - body["linear"]).std() < 2e-3 * size
-    assert (body["laws"] - body["linear"]).std() > 0.02 * size
-
-
 # failure
-
-
-def test_sides_must_be_known(tmp_path):
-    with pytest.raises(ValueError, match="`sides` must be one of"):
-        write_train_trips(tmp_path, RichTrain(), [WORN], fleet_of(), 0, sides="both")
-    assert not list(tmp_path.iterdir())

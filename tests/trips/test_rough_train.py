@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 from reference import phasors
-from rich_effects import EFFECTS, FAMILY, FLEXIBLE, LAWS, ROUGH, SETS, SHIFTS
+from rich_effects import FAMILY, FLEXIBLE, LAWS, ROUGH
 from rich_line import of_the_trip, rough_profiles, wandering_journey
 from rich_modes import simulate_modes
 from rich_motion import CHOKE_M_PER_S, BentDampers, march, simulate
@@ -178,12 +178,6 @@ def test_sensors_read_a_share_of_the_lateral_motion_of_their_place():
     body = body + train.floor_below_m * moved("body", "roll")
     aside = np.stack([moved("wheelset 0", "y")] * 2 + [frame] * 2 + [body] * 2, axis=1)
     np.testing.assert_allclose(found, expected + shares[:, None] * aside, rtol=1e-9)
-
-
-def test_cross_axis_sensitivities_have_a_standard_deviation_of_two_percent():
-    draws = [RichTrain.scattered(seed, {"cross_axis"}).cross_axis_3 for seed in range(200)]
-    assert np.std(draws) == pytest.approx(0.02, rel=0.1)
-    assert np.mean(draws) == pytest.approx(0, abs=0.003)
 
 
 # reference: motion
@@ -476,22 +470,3 @@ def test_each_effect_of_the_rough_train_changes_the_recordings(effect, trips, mo
     # the noise of each sensor is 2 %, of numbers of its own where the signal is another one
     assert change.max() > (1e-6 if effect in ("resolution", "coloured_noise") else 5e-4)
     assert np.isfinite(found).all()
-
-
-def test_all_has_every_effect_but_the_air_spring():
-    assert all(set(effects) <= set(EFFECTS) for effects in SETS.values())
-    assert set(ROUGH) - set(SETS["all"]) == {"air_spring"}
-
-
-def test_numbers_of_an_effect_do_not_depend_on_the_others():
-    whole = RichTrain.scattered(5, SETS["all"])
-    for effect in ("ballast", "floors", "cross_axis", "equipment"):
-        alone = RichTrain.scattered(5, {effect})
-        for name, (low, high) in SHIFTS[effect].items():
-            assert getattr(alone, name) == getattr(whole, name)
-            assert low <= getattr(alone, name) <= high
-
-
-def test_wheelsets_alone_are_for_spectra(tmp_path):
-    with pytest.raises(ValueError, match="ask for out_of_round"):
-        write_train_trips(tmp_path, RichTrain(frozenset({"wheelsets"})), [HEALTHY], Fleet(), 0)

@@ -89,10 +89,7 @@ def test_average_of_a_pair_has_no_roll(plain, model):
             {"body": {"right": lambda v: -v}},
             "body: its left and its right sensor move against each other at low frequency",
         ),
-        (
-            {"bogie": {"left": lambda v: 9.80665 * v}},
-            "bogie: its left sensor shows 9.8",
-        ),
+        ({"bogie": {"left": lambda v: 9.80665 * v}}, "bogie: its left sensor shows 9.8"),
     ],
 )
 def test_wrong_sign_or_unit_of_one_sensor_is_named(tmp_path, model, change, reason):

@@ -177,10 +177,7 @@ def test_curvature_is_the_acceleration_at_unit_speed(name):
     velocity = (-z[4:] + 8 * z[3:-1] - 8 * z[1:-3] + z[:-4]) / (12 * dt)
     acceleration = (-z[4:] + 16 * z[3:-1] - 30 * z[2:-2] + 16 * z[1:-3] - z[:-4]) / (12 * dt**2)
     _, slope, curvature = profile.at(speed * t[2:-2])
-    for difference, derivative in (
-        (velocity, speed * slope),
-        (acceleration, speed**2 * curvature),
-    ):
+    for difference, derivative in ((velocity, speed * slope), (acceleration, speed**2 * curvature)):
         rms = np.sqrt(np.mean(derivative**2))
         assert rms > 0
         assert np.abs(difference - derivative).max() < 1e-3 * rms

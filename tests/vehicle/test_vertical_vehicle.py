@@ -69,9 +69,7 @@ def test_other_bogie_is_healthy_or_the_same_unless_columns_say_otherwise(other_b
     generator = VerticalVehicle(AM96, bogie=bogie, other_bogie=other_bogie)
     ratios = FIVE[:1].clone()
     np.testing.assert_allclose(
-        stacked(generator, ratios)[0].numpy(),
-        naive(generator, ratios[0], FREQUENCIES),
-        rtol=1e-9,
+        stacked(generator, ratios)[0].numpy(), naive(generator, ratios[0], FREQUENCIES), rtol=1e-9
     )
     # columns that are given win over `other_bogie`
     rows = stacked(generator, ALL[:1])[0].numpy()
