@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Sequence
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from statistics import median
 
 from suspnet.cli.config_files import own_vehicles
 from suspnet.cli.kinds import named_runs, vehicles_with
+from suspnet.cli.presets import N_HEALTHY
 from suspnet.cli.typed_words import listed
-from suspnet.curves.estimates import WIDE_SPEED_HALF_WIDTH, EstimateSettings
+from suspnet.curves.estimates import WIDE_SPEED_HALF_WIDTH
 from suspnet.curves.speeds import SpeedRange, covering, setting_words
 from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.trip_settings import LEAST_TRIPS
@@ -36,9 +36,6 @@ from suspnet.trains.pages.check_page import (
 )
 from suspnet.trains.recordings.manifest_files import find_trips
 
-N_HEALTHY = 5
-"""Number of first trips that the next command takes as healthy, which the user may change."""
-
 
 def check(arguments: Namespace) -> int:
     """Check what the command line names and return the exit code."""
@@ -59,8 +56,8 @@ def check(arguments: Namespace) -> int:
         page = write_checks(checks, elsewhere, output)
     print(f"{summary(checks, elsewhere)}\n-> {page}")
     code = exit_code(checks, elsewhere)
-    option_of = {vehicle.name: option for option, vehicle in options.items()}
-    for line in next_steps(arguments, checks, option_of, code):
+    known = {vehicle.name for vehicle in options.values()}
+    for line in next_steps(arguments, checks, known, code):
         print(printable(line))
     return code
 
@@ -93,16 +90,17 @@ def exit_code(checks: Sequence[TripCheck], elsewhere: Sequence[str]) -> int:
 
 
 def next_steps(
-    arguments: Namespace, checks: Sequence[TripCheck], option_of: Mapping[str, str], code: int
+    arguments: Namespace, checks: Sequence[TripCheck], known: Container[str], code: int
 ) -> list[str]:
     """Return lines with the command to run next; `code` is the exit code.
 
-    `option_of` is how ``vehicle=`` names each known vehicle. Without the numbers of a vehicle the
-    next command is the check with them, whatever the code; otherwise the training on the folder, or
-    with `run` the evaluation. There is none for single manifests, trips of several vehicles, and a
-    suspension that has too few ready trips.
+    Without the numbers of a vehicle, which is none of the `known` ones, the next command is the
+    check with them, whatever the code; otherwise the training on the folder, or with `run` the
+    evaluation. There is none for single manifests, trips of several vehicles, and a suspension that
+    has too few ready trips.
     """
-    if unknown := sorted({check.vehicle for check in checks if check.unchecked} - set(option_of)):
+    unchecked = {check.vehicle for check in checks if check.unchecked}
+    if unknown := sorted(name for name in unchecked if name not in known):
         folder = own_vehicles(unknown[0])
         again = command("check", *arguments.trips, "--config-dir", folder or "DIR")
         where = f", where DIR is the folder with vehicle/{unknown[0]}.yaml"
@@ -122,19 +120,16 @@ def next_steps(
     if arguments.run:
         read = command("evaluate", f"trips={folder}", f"run={listed(arguments.run)}")
         return [f"{when}: {read}"]
-    minutes = max(1, round(median(check.duration_s for r in ready_of for check in r) / 60))
     n_healthy = min(N_HEALTHY, *n_ready)
     # later trips may have too little for parts, as with a sensor that comes loose
     shows_parts = all(sum(check.shows_parts for check in r) >= n_healthy for r in ready_of)
     at_centre = all(check.frame_sensor == "centre" for r in ready_of for check in r[:n_healthy])
     train = [
         *(["--config-dir", arguments.config_dir] if arguments.config_dir else []),
-        *(f"vehicle={option_of[vehicles.pop()]}", "experiment=trips"),
-        *(["generator.frame_sensor=centre"] if at_centre else []),
         *(f"healthy={folder}", f"n_healthy={n_healthy}"),
+        *(["generator.frame_sensor=centre"] if at_centre else []),
     ]
-    if not shows_parts:  # a bogie is read at any speed, from trips of any length
-        train += [f"data.minutes={minutes}"] if minutes != EstimateSettings.minutes else []
+    if not shows_parts:  # a bogie is read at any speed
         train += _speeds_beyond_healthy(ready_of, n_healthy)
     return [
         f"{when}: {command('train', *train)}",

@@ -20,6 +20,7 @@ from hydra._internal.core_plugins.file_config_source import FileConfigSource
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
 from hydra.plugins.config_source import ConfigResult
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
@@ -197,7 +198,7 @@ class CheckedLoader(ConfigLoaderImpl):
                 "`hydra.searchpath` cannot be set; name your folder with --config-dir FOLDER"
             )
         if config_name == "train":
-            values = {one.key_or_group: (one.input_line or "").partition("=")[2] for one in parsed}
+            values = {one.key_or_group: _text(one) for one in parsed}
             vehicles = self.repository.get_group_options("vehicle")
             overrides = [*overrides, *presets.of_healthy(values, vehicles, self._vehicle_name)]
         theirs = [source for source in self.get_sources() if isinstance(source, _TheirFolder)]
@@ -227,6 +228,12 @@ class CheckedLoader(ConfigLoaderImpl):
         config = super().load_sweep_config(master_config, sweep_overrides)
         _check_subfolder(config)
         return config
+
+
+def _text(override: Override) -> str:
+    """Return the value of an override as text, without the quotes that are around it."""
+    value = None if override.is_sweep_override() else override.value()
+    return value if isinstance(value, str) else (override.input_line or "").partition("=")[2]
 
 
 def _check_subfolder(config: DictConfig) -> None:

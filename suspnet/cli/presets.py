@@ -8,6 +8,8 @@ from pathlib import Path
 
 OF_HEALTHY = "experiment=trips"
 """Experiment of models that are commissioned on healthy trips."""
+N_HEALTHY = 5
+"""Number of first trips that are taken as healthy, as train.yaml has it."""
 
 
 def of_healthy(
@@ -15,14 +17,14 @@ def of_healthy(
 ) -> list[str]:
     """Return the overrides that a folder of healthy trips implies where the user gives none.
 
-    `typed` are the values of the keys and groups that the command line sets, as typed. `options`
+    `typed` are the values of the keys and groups that the command line sets, as text. `options`
     are those of the group `vehicle`, of which `name_of` returns the name of the vehicle.
     """
     folder = typed.get("healthy")
     if not folder or folder == "null" or "experiment" in typed:
         return []
     found = [OF_HEALTHY]
-    if "vehicle" not in typed and (vehicle := _vehicle_in(Path(folder.strip("'\"")))):
+    if "vehicle" not in typed and (vehicle := _vehicle_in(Path(folder))):
         named = [vehicle] if vehicle in options else []
         named += [option for option in options if name_of(option) == vehicle]
         found += [f"vehicle={option}" for option in named[:1]]

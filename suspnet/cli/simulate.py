@@ -6,11 +6,11 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from suspnet.cli import program
 from suspnet.cli.kinds import build
+from suspnet.cli.presets import N_HEALTHY
 from suspnet.ground.settings import check_number
 from suspnet.ground.wording import command
 from suspnet.trains.simulation.fleet import Trains
@@ -39,15 +39,12 @@ def main(config: DictConfig) -> None:
             _log_trains(config, trains, folder)
     except FolderTakenError as error:
         raise ValueError(f"out={error}") from error
-    learn = (
-        *("experiment=trips", f"vehicle={HydraConfig.get().runtime.choices['vehicle']}"),
-        *(f"healthy={folder}", f"n_healthy={min(3 if trains else 5, fleet.n_trips)}"),
-        f"data.minutes={config.fleet.minutes:g}",
-    )
+    n_healthy = min(3 if trains else N_HEALTHY, fleet.n_trips)
+    learn = [] if n_healthy == N_HEALTHY else [f"n_healthy={n_healthy}"]
     log.info(
         "learn the vehicle%s: %s\nthen read all of them: %s",
         " of each suspension from its first trips" if trains else " from the first of them",
-        command("train", *learn),
+        command("train", f"healthy={folder}", *learn),
         command("evaluate", f"trips={folder}", "run=RUN"),
     )
 

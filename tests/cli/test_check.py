@@ -310,26 +310,21 @@ def steps(*words, code=0, n=6, **changes):
 
 
 def steps_after(arguments, checks, code=0):
-    return check.next_steps(arguments, checks, {"mine": "our_file"}, code)
+    return check.next_steps(arguments, checks, {"mine"}, code)
 
 
 def test_training_is_the_next_command_and_can_be_copied():
     command, why = steps("--config-dir", "our vehicles", shows_parts=True)
     head, *words = shlex.split(command.partition("then run: ")[2])
     assert (head, words[:3]) == ("suspnet", ["train", "--config-dir", "our vehicles"])
-    assert words[3] == "vehicle=our_file"
     assert "first 5 trips of each suspension" in why
     with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
-        config = compose("train", overrides=["vehicle=am96", *words[4:]])
+        config = compose("train", overrides=["experiment=trips", *words[3:]])
     assert (config.healthy, config.n_healthy, config.generator.bogie) == (".", 5, "leading")
-    assert "data.minutes=16" not in words
-    assert "data.minutes=16" in steps()[0]  # of models that are trained on curves
     of_one = steps(place=Place("S1", "trailing"), n=3, duration_s=1200.0)[0]
-    assert of_one == (
-        "then run: suspnet train vehicle=our_file experiment=trips healthy=. n_healthy=3"
-    )
+    assert of_one == "then run: suspnet train healthy=. n_healthy=3"
     after = steps(code=1)[0]
-    assert after.startswith("with the problems mended, run: suspnet train vehicle=our_file ")
+    assert after.startswith("with the problems mended, run: suspnet train healthy=. ")
     (read,) = steps("--run", "outputs/one", "--run", "outputs/two")
     assert read == "then run: suspnet evaluate trips=. 'run=[outputs/one,outputs/two]'"
 

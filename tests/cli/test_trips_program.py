@@ -451,4 +451,6 @@ def test_trains_are_simulated_and_those_that_wear_are_told(tmp_path, caplog):
     (wearing,) = json.loads((tmp_path / "f" / "truth.json").read_text())["wearing"]
     words = f"4 suspensions (trains=1, cars=2) of 2 trips each in {tmp_path / 'f'}"
     assert f"{words}\n1 wear, scenario worn_spring: {wearing}" in caplog.text
-    assert "learn the vehicle of each suspension from its first trips:" in caplog.text
+    learn = f"train healthy={tmp_path / 'f'} n_healthy=2"
+    assert "learn the vehicle of each suspension from its first trips: " in caplog.text
+    assert learn in caplog.text  # the manifests tell the rest
