@@ -39,7 +39,7 @@ Stiffness and damping of train suspensions from three vertical accelerometers.
   suspnet demo
   suspnet init trips/car7 vehicle=am96 suspension="car 7"
   suspnet check trips/car7
-  suspnet train experiment=trips healthy=trips/car7 n_healthy=5
+  suspnet train healthy=trips/car7 n_healthy=5
   suspnet evaluate trips=trips/car7 run=outputs/trips/RUN"""
 
 
