@@ -15,7 +15,7 @@ from suspnet.ground.findings import Finding
 
 PACKAGES = {
     "trips": ("jinja2", "pyarrow", "sqlalchemy"),
-    "live": ("flask", "flask_wtf", "waitress", "plotly", "pydantic", "werkzeug"),
+    "live": ("flask", "flask_wtf", "waitress", "pydantic", "werkzeug"),
 }
 """What the extras of trips and of the depot install, and their modules import at once."""
 
