@@ -175,8 +175,8 @@ class KernelRidge(Regressor):
     """Kernel ridge regression (scikit-learn's), which MSVR is without a tube.
 
     Minimises ``1/2 |W|^2 + C sum_i |y_i - W^T phi(x_i) - b|^2`` with b the mean of the outputs, so
-    with the letters of `MSVR`: alpha = 1 / (2 C), gamma = 1 / sigma^2. A fit sets `dual_coef_`
-    (n_samples, n_outputs), `X_fit_` (n_samples, n_inputs) and `intercept_` (n_outputs,).
+    with the letters of `MSVR`: alpha = 1 / (2 C), gamma = 1 / sigma^2. A fit sets ``dual_coef_``
+    (n_samples, n_outputs), ``X_fit_`` (n_samples, n_inputs) and ``intercept_`` (n_outputs,).
     """
 
     settings: ClassVar[Mapping[str, Setting]] = {
