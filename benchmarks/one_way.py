@@ -9,7 +9,7 @@ Ways:
 - transfer functions: `VerticalVehicle`, from axle box to frame to body, means of pairs;
 - each part: `SpatialVehicle` and spectral matrices, twelve separate ratios, of which the one of a
   kind is the weighted mean;
-- tied: the same with one ratio of each kind (``EQUAL`` of `suspnet.trains.fits.bogie_search`), from
+- tied: the same with one ratio of each kind (``EQUAL`` of `suspnet.trains.fits.bogie_misfit`), from
   all sensors, or from the means of pairs as sensors in the middle of a vehicle of equal sides.
 
 Every later trip and kind goes to one_way.csv, where the rows of the same case, minutes, speeds and
@@ -235,7 +235,8 @@ def matrix_trip(recording, vehicle, segment_s, spacing_hz):
     first = round(float(segments.frequencies_hz[0]) * segment_s)
     bins = torch.arange(low - first, high - first + 1, round(spacing_hz * segment_s))
     matrix = SpectralMatrix.of(replace(segments, values=mixed), every).at(bins)
-    return BogieTrip(segments.frequencies_hz[bins], matrix, float(recording.speed_m_per_s.mean()))
+    speed_m_per_s = float(recording.speed_m_per_s.mean())
+    return BogieTrip(segments.frequencies_hz[bins], matrix, speed_m_per_s, welch=segments.welch)
 
 
 def by_kind(found):

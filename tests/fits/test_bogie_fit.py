@@ -10,12 +10,14 @@ import pytest
 import torch
 from vehicles import AM96
 
+from suspnet.curves.welch import Welch
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.ground.parameters import COMPONENTS, FORWARD, REVERSE
-from suspnet.trains.fits import bogie_search
+from suspnet.trains.fits import bogie_fit, bogie_search
 from suspnet.trains.fits.bogie_fit import ALIGNED, EXPLAINED, commission_bogie, fit_parts
-from suspnet.trains.fits.bogie_search import BogieSearch, Found
+from suspnet.trains.fits.bogie_misfit import BogieMisfit
+from suspnet.trains.fits.bogie_search import SearchEnd, best_end, search, tolerances
 from suspnet.trains.identification.bogie_trips import PARTS_OF_BOGIE
 from suspnet.trains.spectra.bogie_trip import BogieTrip
 from suspnet.trains.spectra.subspace import SpectralMatrix
@@ -142,14 +144,14 @@ def test_derivatives_are_those_of_differences(are_healthy, lost):
         trip(drawn(VEHICLE, row({}, 1.1), 6), 60.0, REVERSE),
     ]
     noise = NOISE[[place not in lost for place in VEHICLE.sensors]]
-    fit = BogieSearch(VEHICLE, [noise, NOISE], trips, are_healthy)
+    fit = BogieMisfit(VEHICLE, [noise, NOISE], trips, are_healthy)
     x = fit.start() + 0.03 * np.random.default_rng(1).standard_normal(len(fit.start()))
-    misfits = fit._misfits(0.01, fit.all_bins)
-    found, step = fit._jacobian(x, misfits, fit.all_bins), 1e-5
+    residuals, step = fit.at(0.01, fit.all_bins), 1e-5
+    found = residuals.jacobian(x)
     scale = np.abs(found).max()
     for j in range(len(x)):
         moved = np.eye(len(x))[j] * step
-        ends = [fit._residuals(x + sign * moved, misfits, fit.all_bins) for sign in (1, -1)]
+        ends = [residuals(x + sign * moved) for sign in (1, -1)]
         numeric = (ends[0] - ends[1]) / (2 * step)
         np.testing.assert_allclose(found[:, j], numeric, atol=1e-6 * scale, rtol=1e-4)
 
@@ -189,6 +191,24 @@ def test_exact_spectra_give_the_exact_parts():
     np.testing.assert_allclose(found.values, given[0].numpy(), rtol=2e-3)
 
 
+@pytest.mark.parametrize("segment_s", [40.0, 120.0])
+def test_what_bins_leak_is_no_error_of_the_vehicle(commissioned, segment_s):
+    """Exact spectra, with neighbours 1 / T away: the residuals are those of the leakage alone."""
+    welch, worn = Welch(segment_s), {"c_p_axle2_left": 0.6}
+    density = np.diag([1.0, 0.5, 0.1])
+    spectra = np.diag(NOISE.numpy()).astype(complex)
+    for tap, weight in zip((-1, 0, 1), welch.smear().tolist(), strict=True):
+        h = VEHICLE.channels(row(worn), BINS + tap / segment_s)[0].permute(2, 1, 0).numpy()
+        spectra = spectra + weight * h @ density @ h.conj().swapaxes(1, 2)
+    one = trip(SpectralMatrix(torch.as_tensor(spectra), N_AVERAGES), 70.0)
+    found, unaware = (
+        fit_parts(commissioned, replace(one, welch=leaks), start=ratios(worn))
+        for leaks in (welch, None)
+    )
+    assert found.misfit < 0.3 * unaware.misfit
+    np.testing.assert_allclose(found.values, ratios(worn), rtol=2e-3)
+
+
 def test_parts_are_found_without_the_sensor_that_sensitivities_are_relative_to():
     parts = (*VEHICLE.parts, "sensors")
     gains = {"gain_frame_axle1_left": 1e-3, "gain_body_left": 1e-3}
@@ -226,7 +246,7 @@ def test_another_start_is_tried_where_the_first_fails(
     order = []
 
     def end(misfit, has_converged):
-        one = Found(None, None, has_converged)
+        one = SearchEnd(None, None, has_converged)
         object.__setattr__(one, "misfit", misfit)
         return one
 
@@ -236,10 +256,10 @@ def test_another_start_is_tried_where_the_first_fails(
         for m, e in zip(near, ends, strict=True)
     ]
     left = iter(starts)
-    monkeypatch.setattr(BogieSearch, "widened", lambda *_: order.append("w") or next(left))
+    monkeypatch.setattr(bogie_search, "end_near", lambda *_: order.append("w") or next(left))
     one = trip(drawn(VEHICLE, row({}), 5), 70.0)
     are_healthy = "healthy" in request.node.name
-    found = BogieSearch(VEHICLE, [NOISE], [one], are_healthy=are_healthy).found(explained=1.15)
+    found = best_end(BogieMisfit(VEHICLE, [NOISE], [one], are_healthy), explained=1.15)
     assert found is ends[chosen]
     assert "".join(order) == searched
 
@@ -248,31 +268,31 @@ def test_a_search_that_creeps_is_continued_and_ends_where_the_parts_have_no_way_
     commissioned, monkeypatch
 ):
     trips = [trip(drawn(VEHICLE, row({}, m), i), 70.0) for i, m in enumerate(MASSES)]
-    fit = BogieSearch(VEHICLE, [NOISE] * 3, trips, are_healthy=True)
-    end = Found(fit, fit.start(), False).finished(math.inf)
+    fit = BogieMisfit(VEHICLE, [NOISE] * 3, trips, are_healthy=True)
+    end = SearchEnd(fit, fit.start(), False).finished(math.inf)
     assert fit.step_left(end.x) < 0.1
     monkeypatch.setattr(bogie_search, "STEPS", 3)  # not enough at once
-    assert not fit.search(fit.start(), 0.0, fit.all_bins, fit.tols[1])[1]
-    far = Found(fit, fit.start(), False)
+    assert not search(fit, fit.start(), 0.0, fit.all_bins, tolerances(fit)[1])[1]
+    far = SearchEnd(fit, fit.start(), False)
     assert not far.finished(0.0).converged  # nor continued where the trips are not explained
     continued = far.finished(math.inf)
     assert continued.converged
     assert fit.step_left(continued.x) < bogie_search.SETTLED
     # without an end, what the parts still have to go decides
-    monkeypatch.setattr(BogieSearch, "search", lambda *args: (args[1], False))
+    monkeypatch.setattr(bogie_search, "search", lambda *args: (args[1], False))
     moved = end.x.copy()
     moved[fit.numbers.names.index("healthy_k_s")] += 0.5
     for x, has_ended in ((end.x, True), (moved, False)):
-        assert Found(fit, x, False).finished(math.inf).converged == has_ended
+        assert SearchEnd(fit, x, False).finished(math.inf).converged == has_ended
 
 
 def test_masses_are_expected_about_those_of_the_healthy_trips(commissioned, monkeypatch):
-    def stopped(search, x, first):
-        starts.append((x[-1], search._prior(x)[-1]))
+    def stopped(fit, x, first):
+        starts.append((x[-1], fit.prior(x)[-1]))
         raise StopIteration
 
     starts = []
-    monkeypatch.setattr(BogieSearch, "narrowed", stopped)
+    monkeypatch.setattr(bogie_fit, "narrowed", stopped)
     light = replace(commissioned, masses=np.array([0.5, 0.72]))
     with pytest.raises(StopIteration):
         fit_parts(light, trip(drawn(VEHICLE, row({}), 5), 70.0))
@@ -283,11 +303,10 @@ def test_masses_are_expected_about_those_of_the_healthy_trips(commissioned, monk
 def test_trips_are_searched_in_widening_bands_only_where_the_healthy_vehicle_is_far(
     commissioned, monkeypatch, is_explained
 ):
-    search = BogieSearch.found
     called = []
-    monkeypatch.setattr(BogieSearch, "found", lambda *args: called.append(args) or search(*args))
+    monkeypatch.setattr(bogie_fit, "best_end", lambda *args: called.append(args) or best_end(*args))
     if not is_explained:
-        monkeypatch.setattr(Found, "explains", lambda *_: False)
+        monkeypatch.setattr(SearchEnd, "explains", lambda *_: False)
     worn = trip(drawn(VEHICLE, row({"c_p_axle2_left": 0.5}), 5), 70.0)
     found = fit_parts(commissioned, worn)
     assert len(called) == (not is_explained)
@@ -295,16 +314,22 @@ def test_trips_are_searched_in_widening_bands_only_where_the_healthy_vehicle_is_
     assert found.values[COMPONENTS.index("c_p_axle2_left")] == pytest.approx(0.5, abs=0.02)
 
 
-def test_the_valley_is_chosen_by_the_slowest_and_the_fastest_trip():
+def test_the_valley_is_chosen_by_the_slowest_and_the_fastest_trip(monkeypatch):
+    """The others start from the mean of these two."""
     spectra = drawn(VEHICLE, row({}), 5)
     trips = [trip(spectra, speed) for speed in (60.0, 75.0, 50.0, 70.0)]
-    search = BogieSearch(VEHICLE, [NOISE] * 4, trips, are_healthy=True)
-    few = search.of_trips(search.unlike)
-    assert search.unlike == [1, 2]
-    assert few.trips == [trips[1], trips[2]]
-    x = np.concatenate([np.arange(search.n_numbers), [0.1, 0.3]])
-    start = search.start_at(x, search.unlike)
-    np.testing.assert_allclose(start, [*np.arange(search.n_numbers), 0.2, 0.1, 0.3, 0.2])
+    fit = BogieMisfit(VEHICLE, [NOISE] * 4, trips, are_healthy=True)
+    numbers, searched = np.arange(fit.n_numbers), []
+
+    def ended(fit, x, *_):
+        searched.append(fit.trips)
+        return np.concatenate([numbers, [0.1, 0.3]]), True
+
+    monkeypatch.setattr(bogie_search, "search", ended)
+    monkeypatch.setattr(bogie_search, "narrowed", lambda _, x: x)
+    start = bogie_search.end_near(fit)
+    assert searched == [[trips[1], trips[2]]] * bogie_search.LOWEST_BANDS
+    np.testing.assert_allclose(start, [*numbers, 0.2, 0.1, 0.3, 0.2])
 
 
 # property
@@ -327,10 +352,8 @@ def test_healthy_trips_end_at_the_minimum(masses, part):
         parts[0, -1] = mass
         true = vehicle.with_uncertain(parts, torch.as_tensor(numbers))
         trips.append(trip(drawn(vehicle, true, i), 70.0))
-    end = BogieSearch(vehicle, [NOISE] * len(trips), trips, are_healthy=True).found(EXPLAINED)
-    misfits = end.fit._misfits(0.0, end.fit.all_bins)
-    residuals = end.fit._residuals(end.x, misfits, end.fit.all_bins)
-    slopes = end.fit._jacobian(end.x, misfits, end.fit.all_bins)
+    end = best_end(BogieMisfit(vehicle, [NOISE] * len(trips), trips, True), EXPLAINED)
+    residuals, slopes = end.fit.exact(end.x), end.fit.exact.jacobian(end.x)
     step = np.linalg.lstsq(slopes, -residuals, rcond=None)[0]
     deviations = np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)))
     assert end.converged
@@ -374,13 +397,12 @@ def test_healthy_trips_of_different_temperatures_show_the_slopes_of_damping(comm
 
 def test_derivatives_by_the_slopes_are_those_of_differences():
     trips = [trip(drawn(VEHICLE, row({}, mass), i), 70.0) for i, mass in enumerate(MASSES)]
-    fit = BogieSearch(VEHICLE, [NOISE] * 3, trips, are_healthy=True, warmer=(-10.0, 0.0, 10.0))
+    fit = BogieMisfit(VEHICLE, [NOISE] * 3, trips, are_healthy=True, warmer=(-10.0, 0.0, 10.0))
     x = fit.start() + 0.1
-    misfits = fit._misfits(0.0, fit.all_bins)
-    jacobian = fit._jacobian(x, misfits, fit.all_bins)
+    jacobian = fit.exact.jacobian(x)
     for column in range(fit.n_numbers, fit.n_shared + 1):
         step = 1e-5 * np.eye(len(x))[column]
-        ends = [fit._residuals(x + sign * step, misfits, fit.all_bins) for sign in (1, -1)]
+        ends = [fit.exact(x + sign * step) for sign in (1, -1)]
         difference = (ends[0] - ends[1]) / 2e-5
         scale = np.abs(difference).max()
         np.testing.assert_allclose(jacobian[:, column], difference, atol=1e-5 * scale)

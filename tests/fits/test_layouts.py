@@ -11,7 +11,8 @@ from vehicles import AM96
 from suspnet.curves.estimates import EstimateSettings
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.trains.fits.bogie_fit import commission_bogie, fit_parts
-from suspnet.trains.fits.bogie_search import WEAR, BogieSearch
+from suspnet.trains.fits.bogie_misfit import WEAR, BogieMisfit
+from suspnet.trains.fits.bogie_search import search
 from suspnet.trains.identification import layouts
 from suspnet.trains.identification.layouts import (
     LAYOUTS,
@@ -115,9 +116,9 @@ def test_bounds_of_a_known_vehicle_are_the_scatter_of_fits():
         signals = root @ normal(rng, *exact.shape[:2], N_AVERAGES) / np.sqrt(2)
         values = torch.as_tensor(signals @ signals.conj().swapaxes(1, 2) / N_AVERAGES)
         one_trip = BogieTrip(BINS, SpectralMatrix(values, N_AVERAGES), vehicle.speed_m_per_s)
-        fit = BogieSearch(vehicle, [noise], [one_trip], are_healthy=False)
+        fit = BogieMisfit(vehicle, [noise], [one_trip], are_healthy=False)
         errors.append(
-            fit.search(fit.start(), 0.0, fit.all_bins, 1e-3)[0][1:] - np.log(rows[0].numpy())
+            search(fit, fit.start(), 0.0, fit.all_bins, 1e-3)[0][1:] - np.log(rows[0].numpy())
         )
     information += np.diag([WEAR**-2] * 12 + [MASS_DEVIATION**-2])
     bounds = np.sqrt(np.diag(np.linalg.inv(information)))
@@ -140,7 +141,7 @@ def test_bounds_of_a_learnt_vehicle_are_the_posterior_of_its_trips():
         return BogieTrip(bins, SpectralMatrix(matrix, found.n_averages), vehicle.speed_m_per_s)
 
     healthy = [exact({"M_s": ratio}) for ratio in layouts.HEALTHY_MASSES]
-    fit = BogieSearch(vehicle, [noise] * len(healthy), healthy, are_healthy=True)
+    fit = BogieMisfit(vehicle, [noise] * len(healthy), healthy, are_healthy=True)
     n = fit.n_numbers
     x = np.concatenate([np.zeros(n), np.log(layouts.HEALTHY_MASSES)])
     factor = vehicle.distribution.factor
@@ -150,7 +151,7 @@ def test_bounds_of_a_learnt_vehicle_are_the_posterior_of_its_trips():
     bounds = []
     for part in COMPONENTS[:-1]:
         own = {part: layouts.WORN, "M_s": np.exp(MASS_MEAN)}
-        later = BogieSearch(learnt, [noise], [exact(own)], are_healthy=False)
+        later = BogieMisfit(learnt, [noise], [exact(own)], are_healthy=False)
         logs = [np.log(own.get(name, 1.0)) for name in COMPONENTS]
         posterior = later.covariance(np.concatenate([np.zeros(n), logs]), 1.0)
         bounds.append(100 * np.sqrt(np.diag(posterior)[n:]))

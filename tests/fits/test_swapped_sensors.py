@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from test_bogie_fit import MASSES, VEHICLE, drawn, row, trip, without
 
-from suspnet.trains.fits.bogie_search import BogieSearch
+from suspnet.trains.fits.bogie_misfit import BogieMisfit
+from suspnet.trains.fits.bogie_search import misfits_in
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.sensors import swapped_sensors
 from suspnet.trains.sensors.swapped_sensors import (
@@ -21,8 +22,8 @@ from suspnet.trains.spectra.bogie_trip import smallest_noise
 PAIRS = list(combinations(range(6), 2))
 
 
-def search(one):
-    return BogieSearch(VEHICLE, [smallest_noise(one.spectra)], [one], are_healthy=False)
+def misfit_of(one):
+    return BogieMisfit(VEHICLE, [smallest_noise(one.spectra)], [one], are_healthy=False)
 
 
 def exchanged(one, i, j):
@@ -69,11 +70,11 @@ def test_fits_decide_where_the_given_order_has_smaller_residuals_at_the_median(m
     """As the body's sensors of the trailing bogie of a blind train had, 11.68 for 11.69."""
     one = exchanged(trip(drawn(VEHICLE, row({"k_p_axle1_right": 0.7}), 7), 70.0), 4, 5)
 
-    def misfits_in(search, orders):
+    def chosen(fit, orders):
         of_order = {tuple(range(6)): 1.0, (0, 1, 2, 3, 5, 4): 1.1}  # others are not fitted
         return np.array([of_order.get(tuple(order), 9.0) for order in orders])
 
-    monkeypatch.setattr(BogieSearch, "misfits_in", misfits_in)
+    monkeypatch.setattr(swapped_sensors, "misfits_in", chosen)
     check_order(VEHICLE, one)
     with pytest.raises(TripError, match="body_left and body_right look swapped"):
         check_order(VEHICLE, one, nearly=1.2)
@@ -136,7 +137,7 @@ def test_fits_decide_where_another_bogie_has_smaller_residuals_at_the_median(mon
 def test_misfits_of_orders_are_those_of_the_reordered_spectra():
     one = trip(drawn(VEHICLE, row({"c_s_left": 0.5}), 3), 70.0)
     orders = [[0, 1, 2, 3, 4, 5], [0, 4, 2, 3, 1, 5], [5, 1, 2, 3, 4, 0]]
-    found = search(one).misfits_in(orders)
+    found = misfits_in(misfit_of(one), orders)
     assert found[1] != pytest.approx(found[0], rel=0.1)
-    alone = [search(one.in_order(order)).misfits_in(orders[:1])[0] for order in orders]
+    alone = [misfits_in(misfit_of(one.in_order(order)), orders[:1])[0] for order in orders]
     np.testing.assert_allclose(found, alone, rtol=1e-9)

@@ -8,7 +8,7 @@ from scipy.stats import multivariate_normal
 
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.trains.fits.bogie_fit import PartsEstimate
-from suspnet.trains.fits.bogie_search import WEAR
+from suspnet.trains.fits.bogie_misfit import WEAR
 from suspnet.trains.fits.worn_parts import ODDS, RARE, SHARED, STIFFER, USUAL, worn_parts
 
 PARTS = COMPONENTS[:-1]

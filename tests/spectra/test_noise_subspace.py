@@ -5,7 +5,7 @@ import pytest
 import torch
 from reference import complex_normal
 
-from suspnet.trains.spectra.noise_subspace import trip_noise
+from suspnet.trains.spectra.noise_subspace import Leakage, trip_noise
 from suspnet.trains.spectra.subspace import SpectralMatrix
 
 N_FREQ, M, P, N_WHEELS, N_AVERAGES = 200, 6, 3, 4, 60
@@ -57,6 +57,39 @@ def test_matrix_is_that_of_the_formula():
             expected = expected + 0.01 * density * np.outer(one, one.conj())
     error = found.matrix[17].numpy() - expected
     assert np.abs(error).max() < 0.05 * np.abs(expected).max()
+
+
+def test_leakage_is_that_of_the_formula():
+    rng = np.random.default_rng(3)
+    weights, densities = np.array([0.2, 0.1]), rng.uniform(1, 2, (P, 5))
+    differences = complex_normal(rng, 2, P, M, 5)
+    found = Leakage(*map(torch.as_tensor, (weights, differences))).matrix(
+        torch.as_tensor(densities)
+    )
+    for f in range(5):
+        expected = np.zeros((M, M), complex)
+        for weight, difference in zip(weights, differences, strict=True):
+            g = difference[..., f].T
+            expected += weight * g @ np.diag(densities[:, f]) @ g.conj().T
+        np.testing.assert_allclose(found[f].numpy(), expected, rtol=1e-12)
+
+
+def test_noise_is_found_where_bins_leak():
+    """A quarter of each bin's power has the responses of its neighbours."""
+    spectra, common, alone = drawn(np.zeros(P), n_averages=2000)
+    rng, density = np.random.default_rng(4), np.array([900.0, 400.0, 200.0])
+    leakage = Leakage(
+        torch.full((2,), 0.125, dtype=torch.float64),
+        torch.as_tensor(0.1 * complex_normal(rng, 1, P, M, N_FREQ))
+        * torch.tensor([1, -1])[:, None, None, None],
+    )
+    leaked = leakage.matrix(torch.as_tensor(density)[:, None].expand(-1, N_FREQ))
+    spectra = SpectralMatrix(spectra.values + leaked, spectra.n_averages)
+    found = trip_noise(spectra, common, alone, START, leakage)
+    np.testing.assert_allclose(found.densities.numpy(), NOISE, rtol=0.1)
+    assert float(found.shares.max()) < 4e-4
+    without = trip_noise(spectra, common, alone, START)
+    assert (without.densities.numpy() > 1.5 * NOISE).any()
 
 
 # property

@@ -8,7 +8,7 @@ under the posterior of the healthy trips. Both minimise the sum of squares of ::
     and, of a later trip, (log part) / WEAR
 
 with F F^T the covariance of log z, and m 1.05 for the healthy trips, their masses' geometric mean
-for later ones. The noise of each trip and what excites each wheelset alone are
+for later ones. The noise of each trip, what excites each wheelset alone and what bins leak are
 those that its spectra show with the vehicle as found so far (`trains.spectra.noise_subspace`).
 `suspnet.trains.fits.bogie_search` finds the minimum. A part's interval is that of the posterior
 there, times ``COMMON``: what healthy trips leave open is one draw for all later ones. The
@@ -43,13 +43,14 @@ from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground.parameters import COMPONENTS, PARAMETERS
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import ShortRepr
-from suspnet.trains.fits.bogie_search import EQUAL, NEARLY_EXPLAINED, SEPARATE, BogieSearch
+from suspnet.trains.fits.bogie_misfit import EQUAL, SEPARATE, BogieMisfit
+from suspnet.trains.fits.bogie_search import NEARLY_EXPLAINED, best_end, narrowed, nearer_start
 from suspnet.trains.spectra.bogie_trip import BogieTrip, smallest_noise
 from suspnet.vehicle import SpatialVehicle
 from suspnet.vehicle.quantities import LogNormal
 
 EXPLAINED = 1.15
-"""Misfit up to which a bogie is explained: leakage of segments of 120 s alone gives up to 1.12."""
+"""Misfit up to which a bogie is explained: plain trips of five minutes have up to 1.08."""
 ALIGNED = 0.15
 """Fraction of unexplained residuals that acts like a change of a part. Found on two trains of
 tests/blind_train.py (seeds 0 and 1, misfits of 1.7 to 6.9, 128 trips with one worn part of twelve
@@ -103,34 +104,34 @@ def fit_parts(
     # far from the healthy trips' mass, as by a wrong one on the drawing, valleys differ
     mass = float(np.exp(np.log(bogie.masses).mean()))
     ties = EQUAL if equal else SEPARATE
-    fit = BogieSearch(bogie.generator, [noise], [trip], are_healthy=False, mass=mass, ties=ties)
+    fit = BogieMisfit(bogie.generator, [noise], [trip], are_healthy=False, mass=mass, ties=ties)
     explained = EXPLAINED * max(1.0, bogie.misfit)
-    near, first = (fit.start(), 0) if start is None else (fit.nearer(start), 2)
-    found = fit.narrowed(near, first).finished(NEARLY_EXPLAINED * explained)
-    if not found.explains(explained):
-        found = min(found, fit.found(explained), key=lambda one: one.misfit)
-    fit, x, misfit = found.fit, found.x, found.misfit
+    near, first = (fit.start(), 0) if start is None else (nearer_start(fit, start), 2)
+    end = narrowed(fit, near, first).finished(NEARLY_EXPLAINED * explained)
+    if not end.explains(explained):
+        end = min(end, best_end(fit, explained), key=lambda end: end.misfit)
+    fit, x, misfit = end.fit, end.x, end.misfit
     unexplained = max(0.0, max(misfit, bogie.misfit) ** 2 - EXPLAINED**2)
-    excess = max(1.0, misfit) ** 2 + ALIGNED**2 * fit.n_residuals * unexplained
+    excess = max(1.0, misfit) ** 2 + ALIGNED**2 * fit.exact.n_independent * unexplained
     own = slice(fit.n_shared, None)
     covariance = COMMON**2 * fit.covariance(x, excess)[own, own]
     names = PARAMETERS if equal else COMPONENTS
-    return PartsEstimate(np.exp(x[own]), covariance, misfit, found.converged, level, names)
+    return PartsEstimate(np.exp(x[own]), covariance, misfit, end.converged, level, names)
 
 
-def healthy_search(
+def healthy_misfit(
     generator: SpatialVehicle, trips: Sequence[BogieTrip], warmer: Sequence[float] = ()
-) -> BogieSearch:
-    """Return the search for the vehicle that healthy trips show, the prior its distribution.
+) -> BogieMisfit:
+    """Return the sum of squares of healthy trips, the prior the vehicle's distribution.
 
-    `warmer` is as of `BogieSearch`.
+    `warmer` is as of `BogieMisfit`.
     """
     assert generator.distribution is not None
     # the free spectra hold the densities of cross level and alignment
     prior = generator.distribution.without(("cross_level", "alignment"))
     noise = torch.stack([smallest_noise(trip.spectra) for trip in trips]).amin(dim=0)
     vehicle = replace(generator, distribution=prior)
-    return BogieSearch(vehicle, [noise] * len(trips), trips, are_healthy=True, warmer=warmer)
+    return BogieMisfit(vehicle, [noise] * len(trips), trips, are_healthy=True, warmer=warmer)
 
 
 def commission_bogie(
@@ -162,10 +163,10 @@ def commission_bogie(
     if lost := sorted({name for trip in trips for name in trip.lost}):
         raise ValueError(f"healthy trips need all sensors, one has none at {', '.join(lost)}")
     healthy_c, warmer = kelvins_warmer(temperatures_c or [None] * len(trips))
-    fit = healthy_search(generator, trips, warmer if any(warmer) else ())
+    fit = healthy_misfit(generator, trips, warmer if any(warmer) else ())
     generator, prior = fit.generator, fit.numbers
-    found = fit.found(EXPLAINED)
-    fit, x, misfit, n, shared = found.fit, found.x, found.misfit, fit.n_numbers, fit.n_shared
+    end = best_end(fit, EXPLAINED)
+    fit, x, misfit, n, shared = end.fit, end.x, end.misfit, fit.n_numbers, fit.n_shared
     covariance = fit.covariance(x, max(1.0, misfit) ** 2)
     factor = prior.factor
     spread_of = factor @ covariance[:n, :n] @ factor.T
@@ -174,10 +175,10 @@ def commission_bogie(
     posterior = LogNormal(prior.names, tuple(logs.tolist()), rows)
     return CommissionedBogie(
         replace(generator, distribution=posterior),
-        torch.stack([one.densities for one in fit.noise_at(x)]).mean(dim=0),
+        torch.stack([noise.densities for noise in fit.noise_at(x)]).mean(dim=0),
         np.exp(x[shared:]),
         misfit,
-        found.converged,
+        end.converged,
         _law(healthy_c, x[n:shared], covariance[n:shared, n:shared]),
     )
 

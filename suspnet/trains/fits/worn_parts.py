@@ -28,7 +28,7 @@ from suspnet.ground.findings import WORN, WORN_ONE_OF, Finding, together
 from suspnet.ground.parameters import BOGIE_PARTS, kind_of, part_words
 from suspnet.ground.types import FloatArray
 from suspnet.trains.fits.bogie_fit import PartsEstimate
-from suspnet.trains.fits.bogie_search import WEAR
+from suspnet.trains.fits.bogie_misfit import WEAR
 
 USUAL = {"k": 0.003, "c": 0.006}
 """Standard deviation of the logarithm of a part that has not worn, of springs and of dampers."""

@@ -43,9 +43,8 @@ PARTS_OF_BOGIE = (
 SHARED = ("bogie", "axle", "frame_sensor", "body_sensor_m", "nominal")
 """Settings that it shares with the vehicle of both sides as equal."""
 SEGMENTS_S = (120.0, 60.0, 40.0)
-"""Lengths of segments, the first of which gives enough averages. The leakage of a Hann window of
-20 s leaves a misfit of 4 to 7, of 60 s 1.4 and of 120 s 1.05 (stepped trips of 20 minutes of the
-tests' rich train)."""
+"""Lengths of segments. The first that gives enough averages is taken: the shorter a segment, the
+more of a bin is leaked by its neighbours."""
 MIN_AVERAGES = 10
 """Averages that shorter segments than the first must exceed."""
 LOW_HZ, HIGH_HZ = 0.5, 18.0
@@ -144,7 +143,7 @@ def _trip_of_all(
     groups = groups_to_read(speeds, settings.speed_tolerance, settings.min_speed_m_per_s)
     chosen = without_loud(segments, groups[0]) if groups else torch.zeros(0, dtype=torch.bool)
     n_chosen = int(chosen.sum())
-    # shorter segments leak, so that fewer averages are no gain
+    # shorter segments leak more, so that fewer averages are no gain
     least = n_sensors + 1 if segment_s == SEGMENTS_S[0] else max(n_sensors + 1, MIN_AVERAGES)
     if not n_chosen or segments.welch.n_averages(n_chosen) <= least:
         raise NoEstimateError(_too_short(n_chosen, n_sensors, segment_s))
@@ -158,6 +157,7 @@ def _trip_of_all(
         direction or recording.manifest.direction or FORWARD,
         lost,
         line_bins(lines, speeds[chosen], frequencies_hz, segment_s) if lines else None,
+        segments.welch,
     )
 
 

@@ -20,7 +20,7 @@ from suspnet.curves.expected_spectra import noise_densities
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
-from suspnet.trains.fits.bogie_search import WEAR
+from suspnet.trains.fits.bogie_misfit import WEAR
 from suspnet.trains.identification.bogie_trips import HIGH_HZ, LOW_HZ
 from suspnet.vehicle import SpatialVehicle
 from suspnet.vehicle.quantities import MASS_DEVIATION, MASS_MEAN, LogNormal

@@ -37,8 +37,9 @@ from suspnet.curves.estimates import EstimateSettings
 from suspnet.ground.findings import Finding, at, of, together
 from suspnet.ground.parameters import DIRECTIONS, REVERSE, Direction
 from suspnet.ground.types import FloatArray
-from suspnet.trains.fits.bogie_fit import healthy_search
-from suspnet.trains.fits.bogie_search import ROUGH, BogieSearch
+from suspnet.trains.fits.bogie_fit import healthy_misfit
+from suspnet.trains.fits.bogie_misfit import BogieMisfit
+from suspnet.trains.fits.bogie_search import end_near, misfits_in
 from suspnet.trains.fits.healthy_misfit import HealthySpectra, row_of
 from suspnet.trains.fits.vehicle_search import SPREADS, VehicleSearch
 from suspnet.trains.recordings.errors import TripError
@@ -191,8 +192,8 @@ def check_order(
     a second. `fit` returns `misfit_near` of the two, where `check_end` may need it as well.
     """
     assert generator.sensors is not None
-    there = _search(generator, trip).sensors_of(trip)
-    own = list(range(len(there)))
+    places = [generator.sensors[i] for i in trip.kept(generator.sensors)]
+    own = list(range(len(places)))
     likely = likely_orders(generator, trip, nearly)
     orders = [one for one in likely if one != own]
     if not orders:
@@ -204,7 +205,7 @@ def check_order(
     # at the median vehicle and after the fit, or else the fit explains the trip
     if not (other < given / CLEARER and (best == likely[0] or other < EXPLAINS)):
         return
-    names = [generator.sensors[there[i]] for i in own if best[i] != i]
+    names = [places[i] for i in own if best[i] != i]
     words = Finding("sensors-swapped", names=together(names, " and "), given=given, other=other)
     raise TripError(of(where, words) if where else words)
 
@@ -220,7 +221,7 @@ def check_bogie(
         return
     ends = _likely_ends(_ends(generator)[1:], trips[0])
     # near the minimum is near enough, and takes half as long
-    fits = [healthy_search(one, trips).widened(ROUGH[0]).misfit for one in ends]
+    fits = [end_near(healthy_misfit(end, trips)).misfit for end in ends]
     other, end = min(zip(fits, ends, strict=True), key=itemgetter(0))
     if other < misfit / OTHER_BOGIE:
         raise TripError(_other_end("healthy-trips-fit", where, generator, misfit, end, other))
@@ -287,8 +288,8 @@ def _other_end(
 
 def _misfit_at_start(generator: SpatialVehicle, trip: BogieTrip) -> float:
     """Return the rms residual of a trip at the median vehicle, as `likely_orders` compares it."""
-    search = _search(generator, trip)
-    return float(search.misfits_in([range(len(search.sensors_of(trip)))])[0])
+    fit = _misfit_of(generator, trip)
+    return float(misfits_in(fit, [range(len(fit.sensors_of(trip)))])[0])
 
 
 def likely_orders(generator: SpatialVehicle, trip: BogieTrip, nearly: float) -> list[list[int]]:
@@ -297,12 +298,12 @@ def likely_orders(generator: SpatialVehicle, trip: BogieTrip, nearly: float) -> 
     Their residuals at the median vehicle are at most `nearly` times the smallest, which is that of
     the first.
     """
-    search = _search(generator, trip)
-    orders = [list(range(len(search.sensors_of(trip))))]
+    fit = _misfit_of(generator, trip)
+    orders = [list(range(len(fit.sensors_of(trip))))]
     for i, j in combinations(orders[0], 2):
         orders.append(list(orders[0]))
         orders[-1][i], orders[-1][j] = j, i
-    return _near(orders, search.misfits_in(orders).tolist(), nearly)
+    return _near(orders, misfits_in(fit, orders).tolist(), nearly)
 
 
 def misfit_near(generator: SpatialVehicle, trip: BogieTrip) -> float:
@@ -310,8 +311,8 @@ def misfit_near(generator: SpatialVehicle, trip: BogieTrip) -> float:
 
     The last search would take ten times as long in another valley.
     """
-    return _search(generator, trip).widened(ROUGH[0]).misfit
+    return end_near(_misfit_of(generator, trip)).misfit
 
 
-def _search(generator: SpatialVehicle, trip: BogieTrip) -> BogieSearch:
-    return BogieSearch(generator, [smallest_noise(trip.spectra)], [trip], are_healthy=False)
+def _misfit_of(generator: SpatialVehicle, trip: BogieTrip) -> BogieMisfit:
+    return BogieMisfit(generator, [smallest_noise(trip.spectra)], [trip], are_healthy=False)

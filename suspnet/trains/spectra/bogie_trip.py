@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from suspnet.curves.welch import Welch
 from suspnet.ground.parameters import FORWARD, Direction
 from suspnet.ground.wording import ShortRepr
 from suspnet.trains.spectra.subspace import SpectralMatrix
@@ -19,7 +20,7 @@ class BogieTrip(ShortRepr):
 
     `frequencies_hz` (n_freq,) are bins that are independent of each other, `left_out` (n_freq,)
     says which of them hold other signals, None: none; `lost` are those of the vehicle's sensors
-    that the trip has not.
+    that the trip has not. `welch` are the segments that leak into neighbouring bins, None: none do.
     """
 
     frequencies_hz: Tensor
@@ -28,6 +29,7 @@ class BogieTrip(ShortRepr):
     direction: Direction = FORWARD
     lost: tuple[str, ...] = ()
     left_out: Tensor | None = None
+    welch: Welch | None = None
 
     def of(self, bins: Tensor) -> Tensor:
         """Return the numbers of those bins that are not left out."""

@@ -4,7 +4,12 @@ Sensors have white noise of densities n_i, and wheels out of round or rail joint
 wheelset alone. With D_k the density of input k (elevation, cross level, alignment), h_kw the
 responses of the sensors to that input under wheelset w alone, and H those to the inputs of all::
 
-    S = H D H^* + N,    N = diag(n) + sum_k a_k D_k sum_w h_kw h_kw^*
+    S = H D H^* + N,    N = diag(n) + sum_k a_k D_k sum_w h_kw h_kw^* + sum_j s_j G_j D G_j^*
+
+The last term is what a segment of length T leaks into a bin: with s_j the smear of its window
+(`Welch.smear`), bin f holds sum_j s_j H(f + j/T) D H(f + j/T)^*, of which G_j = H(f + j/T) - H(f)
+is not in the columns of H(f). D is taken as diagonal and smooth, so that the terms of first order
+in G_j, which j and -j have with opposite signs, cancel.
 
 The shares a_k and n are those for which N is closest to what S has beyond its p strongest
 directions: with L the Cholesky factor of N, U the eigenvectors of the m - p smallest eigenvalues
@@ -12,8 +17,8 @@ lambda of L^-1 S L^-* and n_a averages, by non-negative least squares over all b
 
     U^* L^-1 N(n, a) L^-* U = n_a / (n_a - p) diag(lambda)
 
-N in L and in U is that of the round before. The smallest eigenvalues do not depend on H, so that
-errors of the vehicle are not taken for noise.
+Leakage needs no share: its size is known. N in L and in U is that of the round before. The smallest
+eigenvalues do not depend on H, so that errors of the vehicle are not taken for noise.
 """
 
 from __future__ import annotations
@@ -37,6 +42,24 @@ SMOOTH_BINS = 9
 
 
 @dataclass(frozen=True)
+class Leakage:
+    """What a bin takes from neighbours whose responses differ from its own.
+
+    `weights` (n_taps,) are s_j, `differences` (n_taps, p, m, n_freq) the G_j.
+    """
+
+    weights: Tensor
+    differences: Tensor
+
+    def matrix(self, densities: Tensor) -> Tensor:
+        """Return its spectral matrix, (n_freq, m, m); `densities` (p, n_freq) are D."""
+        weighted = self.weights[:, None, None] * densities
+        leaked = self.differences * weighted.sqrt()[:, :, None]
+        columns = leaked.flatten(0, 1).permute(2, 1, 0)
+        return columns @ columns.mH
+
+
+@dataclass(frozen=True)
 class TripNoise:
     """Noise of the sensors (m,) [(m/s^2)^2/Hz], and shares of what excites wheelsets alone (k,).
 
@@ -49,13 +72,17 @@ class TripNoise:
 
 
 def trip_noise(
-    spectra: SpectralMatrix, responses: Tensor, alone: Tensor, start: Tensor
+    spectra: SpectralMatrix,
+    responses: Tensor,
+    alone: Tensor,
+    start: Tensor,
+    leakage: Leakage | None = None,
 ) -> TripNoise:
     """Return the noise of a trip, given responses of the vehicle that are about right.
 
     `responses` (p, m, n_freq) are H, `alone` (k, n_wheelsets, m, n_freq) the h_kw of its first k
-    inputs, `start` (m,) the densities n of the first round. ValueError if there are not more
-    averages than sensors.
+    inputs, `start` (m,) the densities n of the first round; `leakage` None: bins hold none.
+    ValueError if there are not more averages than sensors.
     """
     p, m, _ = responses.shape
     if spectra.n_averages <= m:
@@ -77,19 +104,21 @@ def trip_noise(
         # the smallest eigenvalues belong to directions without motion, which hold noise alone
         left = root.mH @ vectors[:, :, : m - p]
         target = torch.diag_embed(power[:, : m - p] * n_averages / (n_averages - p))
-        densities = _densities(white, root @ responses.permute(2, 1, 0))[: len(alone)]
-        patterns = torch.cat(
-            [units.expand(-1, len(own[0]), -1, -1), densities[..., None, None] * own]
-        )
+        densities = _densities(white, root @ responses.permute(2, 1, 0))
+        leaked = torch.zeros_like(white) if leakage is None else leakage.matrix(densities)
+        target = target - left.mH @ leaked @ left
+        alone_densities = densities[: len(alone), :, None, None]
+        patterns = torch.cat([units.expand(-1, len(own[0]), -1, -1), alone_densities * own])
         seen = left.mH @ patterns @ left
         sizes = seen.diagonal(dim1=-2, dim2=-1).real.mean(dim=(1, 2)).clamp(min=1e-300)
         columns = torch.view_as_real(seen / sizes[:, None, None, None]).flatten(1).T.numpy()
         # a sum of patterns of noise, each in a positive amount, comes closest to what was measured
-        rows = torch.view_as_real(target.to(seen.dtype)).flatten().numpy()
+        rows = torch.view_as_real(target).flatten().numpy()
         numbers = torch.as_tensor(nnls(columns, rows)[0]) / sizes
         # a sensor whose noise is negligible against that of the others would leave N singular
         noise = numbers[:m].maximum(LEAST_NOISE * start)
-        matrix = torch.diag(noise) + (numbers[m:, None, None, None] * patterns[m:]).sum(dim=0)
+        shared = (numbers[m:, None, None, None] * patterns[m:]).sum(dim=0)
+        matrix = torch.diag(noise) + shared + leaked
         noise_model = TripNoise(noise, numbers[m:], matrix)
     return noise_model
 

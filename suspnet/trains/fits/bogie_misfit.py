@@ -1,0 +1,393 @@
+"""The sum of squares of some trips, as a function of a bogie's numbers and parts.
+
+It is that of `suspnet.trains.fits.bogie_fit`; `suspnet.trains.fits.bogie_search` finds its minimum.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from suspnet.estimation.temperature import DAMPINGS, SLOPE_DEVIATION, USUAL_SLOPE
+from suspnet.ground.parameters import COMPONENTS, PARAMETERS, Direction, kind_of
+from suspnet.ground.types import FloatArray
+from suspnet.trains.spectra.bogie_trip import BogieTrip, smallest_noise
+from suspnet.trains.spectra.noise_subspace import Leakage, TripNoise, trip_noise
+from suspnet.trains.spectra.subspace import SubspaceMisfit
+from suspnet.vehicle import SpatialVehicle
+from suspnet.vehicle.quantities import MASS_DEVIATION, MASS_MEAN, LogNormal
+
+WEAR = 0.5
+"""Standard deviation of the logarithm of a part's ratio before the trip: wide, as wear is."""
+FURTHEST = 20.0
+"""Largest coordinate of vehicles that are tried: logarithms of ratios, and deviations of priors."""
+SEPARATE = np.eye(len(COMPONENTS))
+EQUAL = np.array([[name.startswith(kind) for kind in PARAMETERS] for name in COMPONENTS], float)
+"""Changes of the logarithms of ``COMPONENTS`` with each coordinate of a later trip: each part has a
+coordinate, or all parts of a kind share one."""
+
+
+def _are_same(frequencies_hz: Tensor, other_hz: Tensor) -> bool:
+    """Return whether bins are the same but for rounding, as of segments of other lengths."""
+    is_alike = frequencies_hz.shape == other_hz.shape
+    return is_alike and torch.allclose(frequencies_hz, other_hz, rtol=0, atol=1e-9)
+
+
+@dataclass(frozen=True)
+class BogieMisfit:
+    """The sum of squares of some trips: coordinates of z, then each trip's own numbers.
+
+    `noises` are those of the trips' sensors as `SubspaceMisfit` takes them. Healthy trips have the
+    logarithm of their mass as their own number, others those that `ties` (13, n_own) makes the
+    logarithms of all parts and the mass from, the mass last. `mass` is what the masses of the trips
+    are expected about, the median of their prior. `warmer` [K] is each trip's temperature above
+    their mean, empty where they do not differ; else the slopes of damping over temperature
+    (`suspnet.estimation.temperature`) follow z, in deviations from their prior.
+    """
+
+    generator: SpatialVehicle
+    noises: Sequence[Tensor]
+    trips: Sequence[BogieTrip]
+    are_healthy: bool
+    mass: float = math.exp(MASS_MEAN)
+    ties: FloatArray = field(default_factory=SEPARATE.copy)
+    warmer: Sequence[float] = ()
+
+    def __post_init__(self) -> None:
+        for trip in self.trips:
+            n = len(self.sensors_of(trip))
+            if not _are_same(trip.frequencies_hz, self.frequencies_hz):
+                raise ValueError("the trips must have the same bins")
+            if trip.spectra.values.shape != (len(self.frequencies_hz), n, n):
+                raise ValueError(
+                    f"the spectra must be {n} x {n} on {len(self.frequencies_hz)} bins for the "
+                    f"sensors {', '.join(self._sensors[i] for i in self.sensors_of(trip))}, got "
+                    f"{tuple(trip.spectra.values.shape)}"
+                )
+
+    @property
+    def _sensors(self) -> tuple[str, ...]:
+        assert self.generator.sensors is not None
+        return self.generator.sensors
+
+    def sensors_of(self, trip: BogieTrip) -> list[int]:
+        """Return the numbers of the vehicle's sensors that a trip has."""
+        return trip.kept(self._sensors)
+
+    @property
+    def frequencies_hz(self) -> Tensor:
+        """Bins of all trips, (n_freq,)."""
+        return self.trips[0].frequencies_hz
+
+    @cached_property
+    def numbers(self) -> LogNormal:
+        """Distribution of the vehicle's uncertain numbers."""
+        assert self.generator.distribution is not None
+        return self.generator.distribution
+
+    @property
+    def n_numbers(self) -> int:
+        """Number of the vehicle's uncertain numbers."""
+        return len(self.numbers.names)
+
+    @property
+    def n_slopes(self) -> int:
+        """Number of slopes of damping over temperature that the trips tell."""
+        return len(DAMPINGS) if self.warmer else 0
+
+    @property
+    def n_shared(self) -> int:
+        """Number of coordinates that all trips share."""
+        return self.n_numbers + self.n_slopes
+
+    @cached_property
+    def _warming(self) -> FloatArray:
+        """Whether a damper's column follows the temperature by each slope, (n_slopes, n_columns).
+
+        Those of the other bogie warm as those of the measured one do.
+        """
+        columns = self.generator.columns
+        return np.array(
+            [
+                [kind_of(name) == damping or name == f"other_{damping}" for name in columns]
+                for damping in DAMPINGS
+            ],
+            float,
+        )
+
+    @property
+    def _own_ties(self) -> FloatArray:
+        return self.ties[:, -1:] if self.are_healthy else self.ties
+
+    @property
+    def n_own(self) -> int:
+        """Number of coordinates of each trip alone."""
+        return len(self._own_ties.T)
+
+    @cached_property
+    def all_bins(self) -> Tensor:
+        """Numbers of all bins."""
+        return torch.arange(len(self.frequencies_hz))
+
+    @cached_property
+    def _own(self) -> tuple[FloatArray, FloatArray]:
+        """Prior mean and standard deviation of each trip's own numbers, (n_own,) each."""
+        mean = np.zeros(self.n_own)
+        mean[-1] = math.log(self.mass)
+        deviation = np.full(self.n_own, WEAR)
+        deviation[-1] = MASS_DEVIATION
+        return mean, deviation
+
+    def start(self, ratios: FloatArray | None = None) -> FloatArray:
+        """Return the median vehicle with the trips' own numbers; None: nothing worn."""
+        if ratios is None:
+            own = np.tile(self._own[0], len(self.trips))
+        else:
+            nearest = np.linalg.lstsq(self._own_ties, np.log(ratios), rcond=None)[0]
+            own = nearest.astype(np.float64)
+        return np.concatenate([np.zeros(self.n_shared), own])
+
+    def of_trips(self, numbers: Sequence[int]) -> BogieMisfit:
+        """Return the sum of squares of some of the trips."""
+        noises = [self.noises[i] for i in numbers]
+        warmer = [self.warmer[i] for i in numbers] if self.warmer else ()
+        return replace(self, noises=noises, trips=[self.trips[i] for i in numbers], warmer=warmer)
+
+    def at(self, spread: float, bins: Tensor) -> Residuals:
+        """Return the residuals at chosen bins, where the model may err by that share of a signal.
+
+        `bins` are numbers of ``frequencies_hz``.
+        """
+        subspaces = [
+            SubspaceMisfit(
+                trip.spectra.at(trip.of(bins)),
+                noise if noise.ndim == 1 else noise[trip.of(bins)],
+                len(self._inputs),
+                spread,
+            )
+            for trip, noise in zip(self.trips, self.noises, strict=True)
+        ]
+        return Residuals(self, bins, subspaces)
+
+    @cached_property
+    def exact(self) -> Residuals:
+        """Residuals at all bins, without errors of the model."""
+        return self.at(0.0, self.all_bins)
+
+    def rms(self, x: FloatArray) -> float:
+        """Return the rms residual over that of the noise."""
+        squares = [float(np.square(residuals).mean()) for residuals in self.exact.of_trips(x)]
+        expected = [subspace.expected for subspace in self.exact.subspaces]
+        return math.sqrt(float(np.mean(np.divide(squares, expected))))
+
+    def prior(self, x: FloatArray) -> FloatArray:
+        """Return the residuals of the priors, (n_coordinates,)."""
+        mean = np.concatenate([np.zeros(self.n_shared), np.tile(self._own[0], len(self.trips))])
+        residuals: FloatArray = (x - mean) / self.prior_deviations
+        return residuals
+
+    @cached_property
+    def prior_deviations(self) -> FloatArray:
+        """Standard deviations of the coordinates before any trip, (n_coordinates,)."""
+        return np.concatenate([np.ones(self.n_shared), np.tile(self._own[1], len(self.trips))])
+
+    def covariance(self, x: FloatArray, excess: float) -> FloatArray:
+        """Return the posterior covariance of all coordinates, residuals `excess` times as large.
+
+        `excess` is that of their squares.
+        """
+        jacobian = self.exact.jacobian(x)
+        n_prior = len(self.prior_deviations)
+        data, prior = jacobian[:-n_prior], jacobian[-n_prior:]
+        information = data.T @ data / excess + prior.T @ prior
+        return np.asarray(np.linalg.inv(information))
+
+    def step_left(self, x: FloatArray) -> float:
+        """Return the largest Newton step of a part from x, in deviations of the posterior."""
+        slopes = self.exact.jacobian(x)
+        spread = np.linalg.inv(slopes.T @ slopes)
+        step = -spread @ (slopes.T @ self.exact(x))
+        rows = np.eye(len(x))[self.n_shared :]  # the trips' own numbers
+        if self.are_healthy:
+            names = [name.startswith("healthy_") for name in self.numbers.names]
+            factor = self.numbers.factor[np.flatnonzero(names)]
+            rows = np.pad(factor, ((0, 0), (0, len(x) - self.n_numbers)))
+        deviations = np.sqrt(np.einsum("ij,jk,ik->i", rows, spread, rows))
+        return float(np.abs(rows @ step / deviations).max())
+
+    def noise_at(self, x: FloatArray) -> list[TripNoise]:
+        """Return the noise of each trip for the vehicle at x."""
+        noises = []
+        for i, (trip, noise) in enumerate(zip(self.trips, self.noises, strict=True)):
+            start = noise if noise.ndim == 1 else smallest_noise(trip.spectra)
+            bins = trip.of(self.all_bins)
+            responses = self.responses(x, i, bins)
+            alone = self._of(trip).channels_alone(self._rows(x, i), self.frequencies_hz[bins])[0]
+            alone = alone[self._inputs][:, :, self.sensors_of(trip)]
+            leakage = self._leakage(x, i, responses)
+            at_bins = trip_noise(trip.spectra.at(bins), responses, alone, start, leakage)
+            # bins that are left out have any noise
+            matrix = torch.diag(at_bins.densities).to(at_bins.matrix)
+            matrix = matrix.repeat(len(self.all_bins), 1, 1).index_copy(0, bins, at_bins.matrix)
+            noises.append(replace(at_bins, matrix=matrix))
+        return noises
+
+    def _leakage(self, x: FloatArray, i: int, responses: Tensor) -> Leakage | None:
+        """Return what the bins of trip i, whose responses those are, take from their neighbours."""
+        trip = self.trips[i]
+        if trip.welch is None:
+            return None
+        weights = trip.welch.smear()
+        taps = torch.arange(len(weights)) - len(weights) // 2
+        bins_hz = self.frequencies_hz[trip.of(self.all_bins)]
+        away, weights = taps[taps != 0], weights[taps != 0]
+        # all neighbours of all bins at once: a call has its price
+        beside_hz = bins_hz + away[:, None] / trip.welch.segment_s
+        beside = self._responses_at(x, i, beside_hz.flatten()).unflatten(-1, beside_hz.shape)
+        return Leakage(weights, beside.movedim(2, 0) - responses)
+
+    def with_noise_at(self, x: FloatArray) -> BogieMisfit:
+        """Return the fit with the noise of each trip for the vehicle at x."""
+        return replace(self, noises=[noise.matrix for noise in self.noise_at(x)])
+
+    @cached_property
+    def _inputs(self) -> list[int]:
+        """Numbers of the inputs that drive all wheelsets and reach the sensors.
+
+        Sensors in the middle of a vehicle of equal sides measure the mean of both rails alone.
+        """
+        in_middle = all(place.endswith("_middle") for place in self._sensors)
+        alone = ("wheelset", "cross_level", "alignment") if in_middle else ("wheelset",)
+        return [i for i, name in enumerate(self.generator.inputs) if not name.startswith(alone)]
+
+    @cached_property
+    def _vehicles(self) -> dict[tuple[float, Direction], SpatialVehicle]:
+        """Vehicles at the trips' speeds: making one takes as long as a tenth of an evaluation."""
+        conditions = {(trip.speed_m_per_s, trip.direction) for trip in self.trips}
+        return {
+            (speed, direction): replace(self.generator, speed_m_per_s=speed).running(direction)
+            for speed, direction in conditions
+        }
+
+    def _of(self, trip: BogieTrip) -> SpatialVehicle:
+        return self._vehicles[trip.speed_m_per_s, trip.direction]
+
+    def _rows(self, x: FloatArray, i: int) -> Tensor:
+        """Return all columns of ratios of trip i, (1, n_columns)."""
+        x = np.clip(x, -FURTHEST, FURTHEST)  # a step from afar may overflow
+        own = self._own_ties @ x[self.n_shared :].reshape(len(self.trips), -1)[i]
+        numbers = self.numbers.ratios(x[None, : self.n_numbers])
+        parts = torch.as_tensor(np.exp(own))[None]
+        rows = self.generator.with_uncertain(parts, torch.as_tensor(numbers))
+        if not self.warmer:
+            return rows
+        slopes = USUAL_SLOPE + SLOPE_DEVIATION * x[self.n_numbers : self.n_shared]
+        return rows * torch.as_tensor(np.exp(self.warmer[i] * slopes @ self._warming))
+
+    def responses(self, x: FloatArray, i: int, bins: Tensor) -> Tensor:
+        """Return the responses of trip i's sensors to the inputs, (p, m, n_freq)."""
+        return self._responses_at(x, i, self.frequencies_hz[self.trips[i].of(bins)])
+
+    def _responses_at(self, x: FloatArray, i: int, frequencies_hz: Tensor) -> Tensor:
+        trip = self.trips[i]
+        every = self._of(trip).channels(self._rows(x, i), frequencies_hz)[0, self._inputs]
+        return every[:, self.sensors_of(trip)]
+
+    @cached_property
+    def _directions(self) -> Tensor:
+        """Changes of the logarithms of the columns with each coordinate, (n, n_columns).
+
+        Those with a slope are of a trip 1 K warmer.
+        """
+        n, shared, columns = self.n_numbers, self.n_shared, self.generator.uncertain_columns
+        directions = torch.zeros(
+            shared + self.n_own, len(self.generator.columns), dtype=torch.float64
+        )
+        directions[:n, columns] = torch.tensor(self.numbers.factor.T.copy())
+        directions[n:shared] = SLOPE_DEVIATION * torch.as_tensor(self._warming[: self.n_slopes])
+        directions[shared:, : len(COMPONENTS)] = torch.as_tensor(self._own_ties.T)
+        return directions
+
+    def _directions_of(self, i: int) -> Tensor:
+        """Return the directions on a trip, whose damping follows its own temperature."""
+        if not self.warmer:
+            return self._directions
+        scale = torch.ones(len(self._directions), 1, dtype=torch.float64)
+        scale[self.n_numbers : self.n_shared] = self.warmer[i]
+        return scale * self._directions
+
+    def responses_along(self, x: FloatArray, i: int, bins: Tensor) -> tuple[Tensor, Tensor]:
+        """Return these responses, and their changes with each coordinate that affects the trip.
+
+        The changes have shape (n_directions, p, m, n_freq).
+        """
+        trip = self.trips[i]
+        responses, changes = self._of(trip).channels_along(
+            self._rows(x, i), self.frequencies_hz[trip.of(bins)], self._directions_of(i)
+        )
+        inputs, sensors = self._inputs, self.sensors_of(trip)
+        return responses[0, inputs][:, sensors], changes[0][:, inputs][:, :, sensors]
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """The residuals of a `BogieMisfit` at some bins, as a function of its coordinates x.
+
+    `subspaces` are those of each trip.
+    """
+
+    fit: BogieMisfit
+    bins: Tensor
+    subspaces: Sequence[SubspaceMisfit]
+
+    def __call__(self, x: FloatArray) -> FloatArray:
+        """Return those of all trips, then those of the priors, (n_points,)."""
+        return np.concatenate([*self.of_trips(x), self.fit.prior(x)])
+
+    def of_trips(self, x: FloatArray) -> list[FloatArray]:
+        """Return those of each trip."""
+        return [
+            subspace(self.fit.responses(x, i, self.bins)[None])[0].numpy()
+            for i, subspace in enumerate(self.subspaces)
+        ]
+
+    def jacobian(self, x: FloatArray) -> FloatArray:
+        """Return their derivatives, (n_points, n_coordinates)."""
+        n_shared, n_own = self.fit.n_shared, self.fit.n_own
+        blocks = []
+        for i, subspace in enumerate(self.subspaces):
+            slopes = subspace.derivative(*self.fit.responses_along(x, i, self.bins))[1].numpy().T
+            block = np.zeros((len(slopes), len(x)))
+            block[:, :n_shared] = slopes[:, :n_shared]
+            # the numbers of other trips do not affect this one
+            first = n_shared + n_own * i
+            block[:, first : first + n_own] = slopes[:, n_shared:]
+            blocks.append(block)
+        return np.concatenate([*blocks, np.diag(1 / self.fit.prior_deviations)])
+
+    def in_orders(self, x: FloatArray, orders: Sequence[Sequence[int]]) -> FloatArray:
+        """Return the rms residual of the first trip with its sensors in other orders.
+
+        `orders` (n_orders, n_sensors) are numbers of its sensors.
+        """
+        responses = self.fit.responses(x, 0, self.bins)
+        rows = torch.stack([responses[:, list(order)] for order in orders])
+        return self.subspaces[0](rows).square().mean(dim=1).sqrt().numpy()
+
+    @property
+    def expected(self) -> float:
+        """Mean square of a residual where the model is right."""
+        return self.subspaces[0].expected
+
+    @property
+    def n_independent(self) -> float:
+        """Number of independent residuals of all trips."""
+        shapes = [subspace.spectra.values.shape for subspace in self.subspaces]
+        n_inputs = self.subspaces[0].n_inputs
+        return sum(2 * n_bins * n * n_inputs for n_bins, n, _ in shapes) * self.expected
