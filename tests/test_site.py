@@ -49,6 +49,18 @@ def test_changelog_begins_with_this_version():
     assert re.findall(r"^## \[(.*?)\]", text, re.MULTILINE)[0] == suspnet.__version__
 
 
+def test_workflow_checks_each_python_that_is_claimed():
+    workflow = yaml.safe_load((ROOT / ".github/workflows/checks.yml").read_text(encoding="utf-8"))
+    (job,) = workflow["jobs"].values()
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    prefix = "Programming Language :: Python :: "
+    claimed = {c.removeprefix(prefix) for c in project["classifiers"] if c.startswith(prefix)}
+    assert set(job["strategy"]["matrix"]["python"]) == claimed - {"3 :: Only"}
+    assert job["steps"][-1] == {"run": "bash .ci/run"}
+    assert "Operating System :: POSIX :: Linux" in project["classifiers"]
+    assert job["runs-on"].startswith("ubuntu")
+
+
 def test_every_folder_of_the_package_is_in_the_wheel():
     setuptools = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"][
         "setuptools"
