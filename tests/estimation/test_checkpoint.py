@@ -1,7 +1,6 @@
 import hashlib
 import json
 import math
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -192,14 +191,6 @@ def test_model_rejects_inputs_that_do_not_fit():
         model.predict(np.ones((4, 9)))
     with pytest.raises(ValueError, match="positive and finite"):
         model.predict(np.array([[1.0, np.nan, 1.0]]))
-
-
-def test_threads_that_save_into_one_folder_leave_one_whole_model(tmp_path):
-    models = [trained(MSVR(n_components=n)) for n in (32, 64)]
-    for _ in range(5):
-        with ThreadPoolExecutor(4) as pool:
-            list(pool.map(lambda i: save_model(tmp_path, models[i % 2]), range(8)))
-        assert load_model(tmp_path).estimator.n_components in (32, 64)
 
 
 def test_truncated_arrays_are_rejected(saved):

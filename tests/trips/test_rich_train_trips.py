@@ -4,7 +4,6 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import yaml
-from rich_effects import FAMILY
 from rich_spectra import expected_estimates
 from rich_train import RichTrain
 from rich_train_trips import write_train_trips
@@ -106,48 +105,3 @@ def test_a_pair_has_a_list_of_sensors_for_each_channel(tmp_path):
             expected = both.get(sides, (both["left"] + both["right"]) / 2)
             found = columns(one, channel)[sides]
             np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6 * np.abs(found).max())
-
-
-def test_pair_average_of_a_trip_is_that_on_the_mean_track_alone(tmp_path):
-    train = RichTrain.scattered(4)
-    vertical = RichTrain(train.effects - {"roll"}, **train.numbers())
-    found, expected = (
-        write_train_trips(tmp_path / name, one, [WORN], fleet_of(), 3, sides="mean")[0]
-        for name, one in (("3d", train), ("vertical", vertical))
-    )
-    for channel in CHANNELS:
-        a, b = (columns(path, channel)["mean"] for path in (found, expected))
-        np.testing.assert_allclose(a, b, rtol=0, atol=1e-6 * np.abs(b).max())
-
-
-@pytest.mark.slow
-def test_each_trip_has_its_own_speed_and_its_own_draws(tmp_path):
-    fleet, train = fleet_of(3), RichTrain.scattered(1, {*FAMILY, "drift"})
-    write = {"ratios": np.ones((3, 5)), "fleet": fleet, "seed": 4}
-    speeds = [30.0, 55.0, 85.0]
-    found = write_train_trips(tmp_path / "a", train, **write, speeds_m_per_s=speeds)
-    ends = np.array([columns(path, "speed")["speed"][[0, -1]] for path in found])
-    np.testing.assert_allclose(ends[:, 0], speeds)
-    np.testing.assert_allclose(np.abs(ends[:, 1] / ends[:, 0] - 1), 0.03, rtol=1e-5)
-    again = write_train_trips(tmp_path / "b", train, **write, speeds_m_per_s=speeds)
-    write |= {"ratios": np.ones((1, 5))}
-    alone = write_train_trips(tmp_path / "c", train, **write, speeds_m_per_s=speeds[:1])
-    for channel in CHANNELS:
-        first = columns(found[0], channel)["right"]
-        np.testing.assert_array_equal(first, columns(again[0], channel)["right"])
-        np.testing.assert_array_equal(first, columns(alone[0], channel)["right"])
-        assert abs(np.corrcoef(first, columns(found[1], channel)["right"])[0, 1]) < 0.5
-
-
-@pytest.mark.slow
-def test_service_journeys_begin_and_end_at_rest(tmp_path):
-    fleet = fleet_of(minutes=6.0, journey="service", n_stops=0, speed_m_per_s=50.0)
-    (path,) = write_train_trips(tmp_path, RichTrain.scattered(1), [WORN], fleet, 0)
-    speed = columns(path, "speed")["speed"]
-    assert speed[0] == speed[-1] == 0
-    assert speed.max() > 45
-    body = columns(path, "body")["left"]
-    assert np.abs(body[:250]).max() < 0.05 * np.abs(body).max()
-
-
-# failure
