@@ -38,7 +38,7 @@ MODEL = [
     *("model=msvr", "model.feature_map=nystroem", "model.n_components=128", "figures=false"),
 ]
 SIMULATE = [
-    *("out=trips", "fleet.minutes=2", "progress=false", "generator=best", "scatter=0"),
+    *("out=trips", "fleet.minutes=1", "progress=false", "generator=best", "scatter=0"),
     *(f"fleet.sensors.{n}.rate_hz={r:g}" for n, r in zip(CHANNELS, RATES_HZ, strict=True)),
 ]
 EVALUATE = ["run=../model", "trips=../trips", "progress=false"]

@@ -169,13 +169,6 @@ def test_mistake_gets_one_line(override, message, tmp_path):
         (train, ["hydra.run.dir={file}/x"], "Not a directory"),
         (evaluate, [], "which run?"),
         (evaluate, ["run=nowhere"], "run=nowhere does not exist"),
-        (evaluate, ["study=reliability"], "python benchmarks/reliability.py --help"),
-        (
-            evaluate,
-            ["study=maintenance", "store=x", "plan.costs.failure=20"],
-            "plan.costs is gone: plan.risk and bundle_days set what is done when",
-        ),
-        (train, ["experiment=ablation"], "python benchmarks/ablation.py --help"),
         (evaluate, ["experiment=table6"], "python train.py experiment=NAME"),
         (train, ["study=maintenance"], "python evaluate.py study=NAME"),
     ],

@@ -119,6 +119,7 @@ def test_missing_package_names_the_extra(refused, path, monkeypatch):
     assert 'waitress is missing: pip install ".[live]"' in refused(f"store={path}")
 
 
+@pytest.mark.representatives(1)
 @pytest.mark.parametrize(("number", "code"), ENDS)
 def test_pages_are_served_until_a_signal(path, tmp_path, number, code):
     with started(serve, f"store={path}", "port=0", cwd=tmp_path) as (process, output, errors):
