@@ -192,18 +192,6 @@ def test_parameter_outside_its_range_is_named_with_the_range(detector, problem):
     )
 
 
-def test_each_curve_has_its_own_reasons(detector, problem):
-    refined = fitted(3)
-    refined.ratios[[1, 2], [0, 3]] = [4.0, 0.1]
-    found = flags(detector, problem, refined)
-    assert found.flagged.tolist() == [False, True, True]
-    assert [words.split(" lies")[0] for words in found.reasons] == [
-        "",
-        "k_p at about 400 %",
-        "c_s at about 10 %",
-    ]
-
-
 def test_curve_that_is_not_explained_is_said_with_numbers(problem):
     detector = OODDetector(cloud(50, 0), 10.0, 1.25)
     found = flags(detector, problem, fitted(misfit=3.4567))
@@ -237,16 +225,6 @@ def test_flagged_is_any_of_the_kinds():
     flags = Flags((*(((kind, kind),) for kind in KINDS), ()))
     np.testing.assert_array_equal(flags.found, np.eye(6, 5, dtype=bool))
     assert flags.flagged.tolist() == [True] * 5 + [False]
-
-
-def test_flags_without_a_kind_keep_the_order_of_the_others():
-    both = Flags.none(2).with_kind("range", "low").with_kind("misfit", "odd")
-    both = both.with_kind("range", "high")
-    assert both.reasons == ("low; odd; high",) * 2
-    assert both.without("misfit").reasons == ("low; high",) * 2
-    assert both.without("range", "cloud") == Flags.none(2).with_kind("misfit", "odd")
-    assert not both.without("range", "misfit").flagged.any()
-    assert Flags.none(0).found.shape == (0, len(KINDS))
 
 
 def test_few_curves_like_the_training_curves_are_flagged(problem):

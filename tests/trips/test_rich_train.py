@@ -8,7 +8,7 @@ import pytest
 import torch
 from reference import phasors
 from rich_effects import EFFECTS, FAMILY, ROUGH
-from rich_modes import Modes, simulate_modes
+from rich_modes import Modes, simulate_modes, tones
 from rich_motion import simulate
 from rich_spectra import (
     SIDES,
@@ -36,20 +36,6 @@ WORN = np.array([0.8, 1.3, 1.2, 0.7, 1.1])
 BINS = np.arange(0.5, 15.0, 0.25)
 LINEAR = (*FAMILY, "second_bending")
 SETTINGS = EstimateSettings(rates_hz=(1000.0, 500.0, 500.0)).bound(AM96)
-
-
-def tones(train, frequencies_hz, velocity=0.01):
-    """Return a track of cosine waves, all processes alike but for their phase."""
-    omega = 2 * math.pi * np.array(frequencies_hz)
-    arrivals = train.phasors(frequencies_hz) @ np.exp(1j * np.arange(train.n_processes))
-
-    def inputs(times):
-        wave = velocity / omega[:, None, None] * arrivals[..., None]
-        wave = wave * np.exp(1j * omega[:, None, None] * times)
-        factors = [np.ones(len(omega)), 1j * omega, -(omega**2)]
-        return np.stack([(f[:, None, None] * wave).real.sum(axis=0) for f in factors])
-
-    return inputs
 
 
 def half_vehicle_responses(rich, ratios):

@@ -2,16 +2,11 @@
 
 import numpy as np
 import pyarrow.parquet as pq
-import pytest
 import yaml
-from rich_spectra import expected_estimates
 from rich_train import RichTrain
 from rich_train_trips import write_train_trips
-from scipy.signal import csd
 from vehicles import AM96
 
-from suspnet.curves.cross_spectra import PAIRS
-from suspnet.curves.estimates import EstimateSettings
 from suspnet.trains.recordings.manifest import CHANNELS
 from suspnet.trains.recordings.manifest_files import read_manifest
 from suspnet.trains.simulation import Fleet, Scenario, Simulation, write_fleet
@@ -55,29 +50,6 @@ def test_trips_without_effects_are_those_of_suspnet(tmp_path):
             left, plain = columns(mine, channel)["left"], columns(theirs, channel)["acceleration"]
             # of straight lines between samples, as suspnet has them, (2 pi 30 / 1000)^2 / 12 = 3e-3
             np.testing.assert_allclose(left, plain, rtol=0, atol=3e-3 * np.abs(plain).max())
-
-
-@pytest.mark.slow  # test_rich_train.py: expected estimates
-def test_spectra_of_a_trip_are_the_expected_ones(tmp_path):
-    train = RichTrain.scattered(3).at(60.0)
-    fleet = fleet_of(minutes=6.0, speed_m_per_s=60.0, sensors=NOISY)
-    (path,) = write_train_trips(tmp_path, train, [WORN], fleet, seed=1, sides="mean")
-    settings = EstimateSettings(minutes=6.0, rates_hz=tuple(RATES.values())).bound(AM96)
-    expected = expected_estimates(train, WORN[None], settings)
-    signals = [columns(path, c)["mean"][:: 2 if c == "axle_box" else 1] for c in CHANNELS]
-    # the axle box folds at 250 Hz: its noise above is seen twice
-    f, found = csd(
-        np.array(signals)[:, None], np.array(signals), 500.0, nperseg=10_000, detrend=False
-    )
-    bins = np.isin(np.round(f * 20), np.round(settings.frequencies_hz().numpy() * 20))
-    for pair, (x, y) in enumerate(PAIRS):
-        size = (expected.auto[0, x] * expected.auto[0, y]).sqrt().numpy()
-        error = (found[x, y, bins] - expected.cross[0, pair].numpy()) / size
-        if x > 0:
-            assert np.sqrt(np.mean(np.abs(error) ** 2)) < 0.3  # 34 averages: 0.17
-            assert abs(error.mean()) < 0.06
-        response = found[x, y, bins] / expected.cross[0, pair].numpy()
-        assert np.median(np.abs(response)) == pytest.approx(1, abs=0.1)
 
 
 # property

@@ -11,7 +11,7 @@ import yaml
 from reference import phasors
 from rich_effects import FAMILY, FLEXIBLE, LAWS, ROUGH
 from rich_line import of_the_trip, rough_profiles
-from rich_modes import simulate_modes
+from rich_modes import simulate_modes, tones
 from rich_motion import CHOKE_M_PER_S, march, simulate
 from rich_sensors import MAINS, NOISE, RANGES_G, recorded
 from rich_spectra import responses_of
@@ -136,20 +136,6 @@ def test_sensors_read_a_share_of_the_lateral_motion_of_their_place():
 
 
 # reference: motion
-
-
-def tones(train, frequencies_hz, velocity):
-    """Return a track of cosine waves, all processes alike but for their phase."""
-    omega = 2 * math.pi * np.array(frequencies_hz)
-    arrivals = train.phasors(frequencies_hz) @ np.exp(1j * np.arange(train.n_processes))
-
-    def inputs(times):
-        wave = velocity / omega[:, None, None] * arrivals[..., None]
-        wave = wave * np.exp(1j * omega[:, None, None] * times)
-        factors = [np.ones(len(omega)), 1j * omega, -(omega**2)]
-        return np.stack([(f[:, None, None] * wave).real.sum(axis=0) for f in factors])
-
-    return inputs
 
 
 def test_rough_linear_train_moves_in_time_as_its_spectra_say():

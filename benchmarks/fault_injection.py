@@ -1,6 +1,6 @@
 """Kills programs at random moments, looks at what is left, and lets them go on to the end.
 
-python tests/fault_injection.py FOLDER N_KILLS SEED [PROGRAM ...]    prints the counts as JSON
+python benchmarks/fault_injection.py FOLDER N_KILLS SEED [PROGRAM ...]    prints the counts as JSON
 
 The programs run as forks of this process, which has imported all that they need: in two of three
 starts the moment of the kill would else fall into the import of torch.
