@@ -15,10 +15,7 @@ from matplotlib.ticker import NullFormatter
 from suspnet.ground.parameters import PARAMETERS, UNITS
 from suspnet.runs.figures import SUSPENSIONS, SYMBOLS
 from suspnet.runs.plots import BOUND_COLOUR, grid
-from suspnet.runs.tables import (
-    MODEL_TITLES,
-    precision_percent,
-)
+from suspnet.runs.tables import MODEL_TITLES
 from suspnet.vehicle import ResponseGenerator, Vehicle
 
 PRECISION_TICKS = (0.2, 0.5, 1, 2, 5)
@@ -118,7 +115,7 @@ def sensitivity(runs: Sequence[Mapping[str, Any]]) -> Figure:
         own = sorted((r for r in runs if r["model"] == model), key=lambda run: run["snr_db"])
         for output in dict.fromkeys(name for run in own for name in run["scores"]):
             chosen = [r for r in own if output in r["scores"]]
-            precision = [precision_percent(run["snr_db"]) for run in chosen]
+            precision = [100 * 10 ** (-run["snr_db"] / 20) for run in chosen]  # [%]
             mape, bound = (
                 [run[key][output]["mape_percent"] for run in chosen] for key in ("scores", "bound")
             )

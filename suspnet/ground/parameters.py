@@ -118,8 +118,6 @@ class Cause(StrEnum):
     """A parameter is beyond a limit."""
     CHANGE = "change"
     """A parameter has changed from its reference trips."""
-    SISTER = "sister"
-    """A parameter differs from that of the sister suspensions of the car."""
     SENSOR = "sensor"
     """A sensor differs from its first trips; the alarm's parameter is its name."""
 

@@ -104,11 +104,6 @@ def table6_caption(records: Sequence[Mapping[str, Any]]) -> str:
     )
 
 
-def precision_percent(snr_db: float) -> float:
-    """Return the precision of a sensor, the noise's rms relative to the signal's, [%]."""
-    return 100 * float(10 ** (-snr_db / 20))
-
-
 def grouped(records: Iterable[Row], *keys: str) -> dict[tuple[Any, ...], list[Row]]:
     """Return records by their values of some keys, in the order in which these come."""
     groups: dict[tuple[Any, ...], list[Row]] = {}

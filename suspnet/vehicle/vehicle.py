@@ -265,10 +265,6 @@ class ResponseGenerator:
         """
         raise NotImplementedError
 
-    def dynamic_stiffness(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> Tensor:
-        """Return kappa_p and kappa_s of one bogie side, complex (n_vehicles, 2, n_freq), [N/m]."""
-        raise NotImplementedError
-
     def motion_system(self, ratios: ArrayLike) -> LinearSystem:
         """Return the equations of motion of one vehicle, ratios (5,), for simulation in time."""
         raise NotImplementedError

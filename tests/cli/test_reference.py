@@ -146,15 +146,6 @@ def test_switches_are_those_called_so():
     assert switches == SWITCHES - {"tls"}
 
 
-def test_script_writes_the_declared_sentence_over_another_comment(tmp_path):
-    file = tmp_path / "model" / "svr.yaml"
-    file.parent.mkdir()
-    shipped = (Path(CONFIGS) / "model" / "svr.yaml").read_text(encoding="utf-8")
-    file.write_text(shipped.replace("Stopping tolerance of libsvm [above 0]", "Other\n# words [m]"))
-    assert "# Other\n# words [m]\ntol:" in file.read_text(encoding="utf-8")
-    assert commented(file) == shipped
-
-
 def test_ranges_of_the_programs_are_those_of_their_checks(quarter_car):
     shown = {
         name: read_comments(Path(CONFIGS) / f"{name}.yaml").above for name in ("train", "simulate")

@@ -8,7 +8,6 @@ import pytest
 
 from suspnet.runs.tables import (
     PUBLISHED,
-    precision_percent,
     records_csv,
     scores_table,
     table6_markdown,
@@ -166,11 +165,6 @@ def test_csv_holds_every_record(records):
     assert [list(row) for row in found] == [KEYS] * len(records)
     assert found == [{key: str(value) for key, value in r.items()} for r in records]
     assert [float(row["measured"]) for row in found] == [r["measured"] for r in records]
-
-
-def test_noise_of_34_db_is_a_precision_of_2_percent():  # section III-E
-    precision = [precision_percent(snr_db) for snr_db in (26.0, 34.0, 54.0)]
-    assert precision == pytest.approx([5.01, 2.0, 0.2], rel=4e-3)
 
 
 SCORES = ["output", "MAPE %", "bound", "RMSE", "bound", "Cramer-Rao sd %", "rms / bound"]

@@ -122,17 +122,6 @@ def test_drop_outs_hold_the_last_value_or_are_nan_in_turn():
 # limit
 
 
-def test_perfect_sensor_records_the_signal():
-    clean = signal(1000)
-    before = clean.copy()
-    recorded = Sensor(RATE_HZ, snr_db=None).record(clean, rng())
-    np.testing.assert_array_equal(recorded, clean)
-    assert recorded is not clean
-    Sensor(RATE_HZ, snr_db=10.0, range_g=0.1, dropouts_per_h=1e4).record(clean, rng())
-    np.testing.assert_array_equal(clean, before)
-    assert Sensor(RATE_HZ).range_m_per_s2 is None
-
-
 # property
 
 
