@@ -155,12 +155,12 @@ class Problem:
         extractor = self.extractor
         table = extractor.extract(curves, self.observer.frequencies_hz.to(curves.device))
         for array, part in (("values", "names"), ("reasons", "parts")):
-            found = tuple(getattr(table, array).shape)
+            shape = tuple(getattr(table, array).shape)
             expected = (len(curves), len(getattr(extractor, part)))
-            if found != expected:
+            if shape != expected:
                 raise ValueError(
                     f"`{array}` of the feature set {extractor.kind!r} must have a row for each "
-                    f"curve and a column for each of its `{part}`, {expected}, got {found}"
+                    f"curve and a column for each of its `{part}`, {expected}, got {shape}"
                 )
         return table
 

@@ -110,8 +110,8 @@ class Task:
     @property
     def unknown(self) -> tuple[str, ...]:
         """Varied parameters that are not measured and have to be estimated."""
-        known = (BODY_MASS,) if self.mass_known else ()
-        return tuple(name for name in self.varied if name not in known)
+        measured = (BODY_MASS,) if self.mass_known else ()
+        return tuple(name for name in self.varied if name not in measured)
 
     @property
     def unknown_sets(self) -> list[tuple[str, ...]]:
@@ -124,14 +124,14 @@ class Task:
         A vehicle is of the first set outside of which it is healthy, else of none: then all
         parameters are unknown. Sets without a vehicle are left out.
         """
-        left, found = np.ones(len(ratios), dtype=bool), []
+        unassigned, sets = np.ones(len(ratios), dtype=bool), []
         for names, unknown in zip(self.varied_sets, self.unknown_sets, strict=True):
             others = [j for j, name in enumerate(PARAMETERS) if name not in names]
-            rows = left & (ratios[:, others] == 1).all(axis=1)
-            found.append((unknown, rows))
-            left = left & ~rows
-        found.append((self.unknown, left))
-        return [(unknown, rows) for unknown, rows in found if rows.any()]
+            rows = unassigned & (ratios[:, others] == 1).all(axis=1)
+            sets.append((unknown, rows))
+            unassigned = unassigned & ~rows
+        sets.append((self.unknown, unassigned))
+        return [(unknown, rows) for unknown, rows in sets if rows.any()]
 
     @property
     def used_responses(self) -> list[int]:
@@ -371,16 +371,16 @@ class Protocol:
         if self.feature_set == "peaks":
             return PeakFeatures(peaks=tuple(entry["peaks"]), **self.features)
         registered = FEATURE_SETS[self.feature_set]
-        given = self.feature_settings or {}
-        known = [one.name for one in fields(registered)]
-        unknown = sorted(set(given) - set(known))
+        settings = self.feature_settings or {}
+        names = [declared.name for declared in fields(registered)]
+        unknown = sorted(set(settings) - set(names))
         if unknown:
             raise ValueError(
                 f"`feature_settings.{unknown[0]}` is no setting of {registered.kind}, only "
-                f"{', '.join(known)}"
+                f"{', '.join(names)}"
             )
-        found: FeatureSet = registered(**given)
-        return found
+        feature_set: FeatureSet = registered(**settings)
+        return feature_set
 
     def _mass_range(self) -> tuple[float, float]:
         low = self.lower if self.mass_lower is None else self.mass_lower

@@ -228,24 +228,24 @@ def _refined(
     misfit = observer.measured_misfit(spectra)
     if not misfit.covariance.diagonal(dim1=1, dim2=2).real.isfinite().any():
         raise NoEstimateError(INCOHERENT)
-    best, found = refine(method.task, misfit, predicted, directions=observer.directions), ""
+    best, failure = refine(method.task, misfit, predicted, directions=observer.directions), ""
     usual = observer.generator
     if not isinstance(usual, VerticalVehicle) or usual.distribution is None:
-        return best, found
+        return best, failure
     healthy = 1.0 if method.unexplained is None else method.unexplained.misfit
     if float(best.misfit[0]) < FAILED_FROM * max(1.0, healthy):
-        return best, found
+        return best, failure
     if not set(OF_THE_TRIP) <= set(usual.distribution.names):
-        return best, found
+        return best, failure
     for words, changes in FAILED_OTHER.items():
         failed = usual.distribution.renewed(OF_THE_TRIP, changes, FAILED_DEVIATION)
         other = observer.of(replace(usual, distribution=failed))
-        one = refine(
+        fit = refine(
             method.task, other.measured_misfit(spectra), predicted, directions=other.directions
         )
-        if float(one.misfit[0]) < float(best.misfit[0]) / FAILED_GAIN:
-            best, found = one, Finding("other-bogie-failed", words=words)
-    return best, found
+        if float(fit.misfit[0]) < float(best.misfit[0]) / FAILED_GAIN:
+            best, failure = fit, Finding("other-bogie-failed", words=words)
+    return best, failure
 
 
 def _residual_scale(method: FittedMethod, inputs: FloatArray, predicted: FloatArray) -> FloatArray:

@@ -105,12 +105,14 @@ class DampingByVelocity:
         object.__setattr__(self, "covariance", rows)
 
     def __str__(self) -> str:
-        primary, secondary = (1000 * one for one in self.healthy_m_per_s)
+        primary, secondary = (1000 * velocity for velocity in self.healthy_m_per_s)
         losses = []
         for name, i in CHANGING.items():
             healthy = self.healthy_m_per_s[i]
-            left = torch.stack(linear(self.drawn(), name, FASTER * healthy, healthy)).sum(dim=0)
-            low, high = np.quantile(100 * (1 - left.numpy()), [0.05, 0.95])
+            remaining = torch.stack(linear(self.drawn(), name, FASTER * healthy, healthy)).sum(
+                dim=0
+            )
+            low, high = np.quantile(100 * (1 - remaining.numpy()), [0.05, 0.95])
             losses.append(Finding("loss", name=name, low=max(low, 0.0), high=max(high, 0.0)))
         return Finding(
             "compared-at-velocities",

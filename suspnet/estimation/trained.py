@@ -95,8 +95,8 @@ class TrainedModel(FittedMethod):
             return estimate
         observer = self.settings.observer(self.generator)
         curves = _checked_curves(data, frequencies_hz, observer.frequencies_hz)
-        known = self._checked_mass(mass, curves)
-        return estimate_curves(self, observer, curves.to(self.generator.device), level, known)
+        mass_ratios = self._checked_mass(mass, curves)
+        return estimate_curves(self, observer, curves.to(self.generator.device), level, mass_ratios)
 
     def _checked_mass(self, mass: ArrayLike | None, curves: Tensor) -> np.ndarray | None:
         if self.task.mass_known != (mass is not None):

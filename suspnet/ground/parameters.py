@@ -80,7 +80,9 @@ KIND_NAMES = {
     "c_s": "damping of the secondary damper",
     BODY_MASS: "mass of the car body",
 }
-NAMES = KIND_NAMES | {one: f"{KIND_NAMES[kind_of(one)]}, {place_words(one)}" for one in BOGIE_PARTS}
+NAMES = KIND_NAMES | {
+    part: f"{KIND_NAMES[kind_of(part)]}, {place_words(part)}" for part in BOGIE_PARTS
+}
 UNITS = {name: "N s/m" if name[0] == "c" else "N/m" for name in ESTIMATED} | {BODY_MASS: "kg"}
 """SI unit of each parameter."""
 Direction = Literal["forward", "reverse"]

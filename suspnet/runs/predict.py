@@ -145,7 +145,7 @@ def _over_blocks(
     title = f"fits of {STREAM_NAMES[stream]} curves"
     with progress_bar(title, n_curves, unit="curve", shown=problem.progress) as bar:
 
-        def one(block: int) -> Part:
+        def fit_block(block: int) -> Part:
             rows = slice(block * BLOCK, (block + 1) * BLOCK)
             curves = problem.curves(data.ratios, stream, block)
             fitted = fit(curves, rows, None if mass is None else mass[rows])
@@ -153,7 +153,7 @@ def _over_blocks(
             return fitted
 
         with pool_of(threads) as pool:
-            return list(pool.map(one, range(problem.n_blocks(n_curves))))
+            return list(pool.map(fit_block, range(problem.n_blocks(n_curves))))
 
 
 def calibrated(problem: Problem, model: Model) -> Model:

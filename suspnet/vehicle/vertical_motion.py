@@ -234,13 +234,13 @@ def links_of(p: Mapping[str, Tensor], parts: Sequence[str]) -> list[tuple[Elemen
     Each is an element with its levers below the body's and above the bogie's centre [m].
     """
     body, bogie = p["body_lever"], p["bogie_lever"]
-    found = []
+    links = []
     if "longitudinal" in parts:
-        found.append((longitudinal_element(p), body, bogie))
+        links.append((longitudinal_element(p), body, bogie))
     if "yaw_dampers" in parts:
         height = p["yaw_height"]
-        found.append((yaw_damper_element(p), body - height, bogie + height))
-    return found
+        links.append((yaw_damper_element(p), body - height, bogie + height))
+    return links
 
 
 def lateral_element(p: Mapping[str, Tensor]) -> Element:
