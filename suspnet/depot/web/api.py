@@ -68,8 +68,8 @@ def _answers(rule: str, query: type[Query], item: Any) -> Callable[[Rows], Rows]
         @functools.wraps(function)
         def answered(**place: str) -> Response:
             content, view = _query(query), _read_view()
-            found = function(view, content, *(_index(view, id) for id in place.values()))
-            return _sent(answer.model_validate(_listed(content, found)))
+            rows = function(view, content, *(_index(view, id) for id in place.values()))
+            return _sent(answer.model_validate(_listed(content, rows)))
 
         api.add_url_rule(rule, function.__name__, answered)
         summary = (function.__doc__ or "").strip()

@@ -290,7 +290,7 @@ def read_responses(
     chosen = (
         sql.select(*columns).join_from(curves, trips, _same_trip()).join(suspensions).where(where)
     )
-    found = []
+    of_trips = []
     for row in connection.execute(chosen).all():
         if not all(isinstance(value, kind) for value, kind in zip(row, ROW, strict=True)):
             raise HistoryError(at(name, "curves-damaged"))
@@ -305,8 +305,10 @@ def read_responses(
         if shapes != dict.fromkeys(NAMES, both) | {"frequencies_hz": both[1:]} or len(both) != 2:
             raise HistoryError(f"{what} is damaged: it holds {shapes}")
         responses = to_responses(stored.pop("real"), stored.pop("imaginary"))
-        found.append(TripResponses(trip, or_nan(mileage_km), start, responses=responses, **stored))
-    return sorted(found, key=lambda curves: _order(curves.mileage_km, curves.start, curves.trip))
+        of_trips.append(
+            TripResponses(trip, or_nan(mileage_km), start, responses=responses, **stored)
+        )
+    return sorted(of_trips, key=lambda curves: _order(curves.mileage_km, curves.start, curves.trip))
 
 
 def _same_trip() -> sql.ColumnElement[bool]:

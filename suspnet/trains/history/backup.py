@@ -62,9 +62,9 @@ def _check_file(place: str) -> None:
 
 
 def _check_absent(path: Path, ends: Sequence[str], words: str) -> None:
-    for found in (path.with_name(path.name + end) for end in ends):
-        if os.path.lexists(found):
-            raise HistoryError(f"{found}: {words}")
+    for file in (path.with_name(path.name + end) for end in ends):
+        if os.path.lexists(file):
+            raise HistoryError(f"{file}: {words}")
 
 
 def _copied(source: Path, target: Path, *, replace: bool = False) -> int:

@@ -247,14 +247,14 @@ def known_suspensions(
     Unreadable rows are left out and appended to `bad`.
     """
     chosen = sql.select(suspensions).where(sql.true() if where is None else where)
-    known = {}
+    by_number = {}
     for row in connection.execute(chosen).mappings():
         try:
-            known[int(row["id"])] = key_of(row), int(row["revision"])
+            by_number[int(row["id"])] = key_of(row), int(row["revision"])
         except ValueError as error:
             if bad is not None:
                 bad.append(bad_row(suspensions, row, error))
-    return known
+    return by_number
 
 
 def is_one_of(column: sql.Column[int], ids: Iterable[int]) -> sql.ColumnElement[bool]:

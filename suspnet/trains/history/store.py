@@ -284,11 +284,12 @@ class History:
     def _numbers(self, connection: Connection, keys: Iterable[Key]) -> dict[Key, int]:
         """Return the number of each suspension; HistoryError if one is unknown."""
         numbers = {key: number for number, (key, _) in known_suspensions(connection).items()}
-        known = "; ".join(sorted(f"{vehicle}: {place}" for vehicle, place in numbers)) or "none"
+        names = sorted(f"{vehicle}: {place}" for vehicle, place in numbers) or ["none"]
         for vehicle, place in (wanted := list(keys)):
             if (vehicle, place) not in numbers:
                 raise HistoryError(
-                    f"{self}: no trip of {vehicle}: {place} is stored here; known: {known}"
+                    f"{self}: no trip of {vehicle}: {place} is stored here; known: "
+                    f"{'; '.join(names)}"
                 )
         return {key: numbers[key] for key in wanted}
 

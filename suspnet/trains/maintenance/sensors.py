@@ -89,8 +89,11 @@ def sensor_trends(
     since = {name: _eras(name, names, mileage_km, replaced) for name in names}
     health = {name: [trip.get(name, SensorHealth()) for trip in trips] for name in names}
     values = {
-        name: {n: np.array([getattr(one, n) for one in own], dtype=float) for n in (*LEAST, "tilt")}
-        for name, own in health.items()
+        name: {
+            n: np.array([getattr(state, n) for state in states], dtype=float)
+            for n in (*LEAST, "tilt")
+        }
+        for name, states in health.items()
     }
     # each number against the sensor's own first trips
     changes: dict[str, Numbers] = {name: {} for name in names}

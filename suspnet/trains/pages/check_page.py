@@ -156,7 +156,7 @@ def with_shared_data(checks: Sequence[TripCheck]) -> list[TripCheck]:
     owners: dict[str, str] = {}
     remarked = []
     for check in checks:
-        if others := dict.fromkeys(owners[one] for one in check.sources if one in owners):
+        if others := dict.fromkeys(owners[source] for source in check.sources if source in owners):
             remark = Finding("same-data", others=together(list(others)[:LISTED], ", "))
             check = replace(check, remarks=(*check.remarks, remark))
         remarked.append(check)
@@ -202,7 +202,9 @@ def train_words(checks: Iterable[TripCheck]) -> list[str]:
     """Return a sentence on each vehicle with several suspensions whose manifests name no train."""
     return [
         at(vehicle, "suspensions-without-train", n_several=len(several))
-        for vehicle, several in lone_trains((one.vehicle, one.place) for one in checks).items()
+        for vehicle, several in lone_trains(
+            (check.vehicle, check.place) for check in checks
+        ).items()
         if vehicle
     ]
 

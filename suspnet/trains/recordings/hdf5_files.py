@@ -125,19 +125,19 @@ class _Content:
 
     def described(self, name: str) -> dict[str, Any]:
         """Return rate, unit and start by a data set's attributes, or else by its group."""
-        own = mat.stated(_attributes(self.datasets[name]))
+        attributes = mat.stated(_attributes(self.datasets[name]))
         if self.datasets[name].dtype.names is not None:
-            own.pop("unit", None)  # a table has columns of several units
+            attributes.pop("unit", None)  # a table has columns of several units
         small = {
             key: _value(dataset)
             for key, dataset in mat.siblings(name, self.datasets, "/").items()
             if dataset.nbytes <= mat.MOST_NOTE_BYTES
         }
-        known = mat.stated_nearby(name, small) | self._times(name) | own
-        since = _SINCE.match(known.get("unit", ""))
+        arguments = mat.stated_nearby(name, small) | self._times(name) | attributes
+        since = _SINCE.match(arguments.get("unit", ""))
         if since and (start := read_date(since[2])):
-            known |= {"unit": since[1], "start_ns": nanoseconds(start)}
-        return known
+            arguments |= {"unit": since[1], "start_ns": nanoseconds(start)}
+        return arguments
 
     def _times(self, name: str) -> dict[str, str]:
         """Return the data set of times that netCDF attaches to the dimension of another one."""

@@ -260,10 +260,12 @@ class TripManifest:
         a pair.
         """
         sensors: dict[str, SensorSource] = {}
-        for channel, own in self.channels.items():
+        for channel, sources in self.channels.items():
             for is_elsewhere in (False, True):
                 place = f"{channel} {OTHER_AXLE}" if is_elsewhere else channel
-                both = [one for one in _as_several(own) if one.is_elsewhere == is_elsewhere]
+                both = [
+                    sensor for sensor in _as_several(sources) if sensor.is_elsewhere == is_elsewhere
+                ]
                 if len(both) == 1:
                     sensors[place] = both[0]
                 else:
