@@ -48,7 +48,7 @@ def init(arguments: Namespace) -> int:
 
 def _write(paths: Sequence[Path], settings: Sequence[str], arguments: Namespace) -> int:
     # what is known of the trips: their files, the command line, and a table
-    table, keys = arguments.table, folders.read_said(settings)
+    table, keys = arguments.table, folders.read_settings(settings)
     if len(paths) == 1 and paths[0].is_dir():
         if arguments.output:
             raise ValueError("--output is for the manifest of one trip; a folder's lie in it")
@@ -78,7 +78,7 @@ def _write(paths: Sequence[Path], settings: Sequence[str], arguments: Namespace)
             where = "" if len(without) == len(new) else f" (in {len(without)} of them)"
             print(printable(f"  {key}{where}: {folders.how_to_say(key, without)}"))
         if table and not table.exists() and "mileage_km" in missing:
-            firsts = ((trip.files[0].relative_to(folder), trip.known) for trip in new)
+            firsts = ((trip.files[0].relative_to(folder), trip.stated) for trip in new)
             write_atomically(table, table_of(firsts))
             print(f"-> {table}: fill in its columns, then run the same command again")
         right = [word for word in settings if not (wrong and word.startswith("vehicle="))]
@@ -105,7 +105,7 @@ def _unknown_vehicles(folder: Path | None, trips: Sequence[folders.Trip]) -> lis
         from suspnet.cli.kinds import vehicles_with  # with Hydra
 
         own = {vehicle.name for vehicle in vehicles_with(folder).values()}
-    stated = dict.fromkeys(t.known["vehicle"] for t in trips if "vehicle" in t.known)
+    stated = dict.fromkeys(t.stated["vehicle"] for t in trips if "vehicle" in t.stated)
     return [
         printable(
             f"  vehicle: {vehicle.value!r} ({vehicle.source}) is no vehicle of suspnet's"
@@ -120,6 +120,6 @@ def _unknown_vehicles(folder: Path | None, trips: Sequence[folders.Trip]) -> lis
 
 def _assumed(trips: Sequence[folders.Trip]) -> list[str]:
     """Return a line on the keys of ``ASSUMED`` that are not stated, with the number of trips."""
-    missing = {key: sum(key not in trip.known for trip in trips) for key in ASSUMED}
+    missing = {key: sum(key not in trip.stated for trip in trips) for key in ASSUMED}
     listed = "; ".join(f"{key} ({n}): {ASSUMED[key]}" for key, n in missing.items() if n)
     return [f"  assumed unless KEY=VALUE or a table states it: {listed}"] if listed else []

@@ -137,7 +137,11 @@ def _run(config: DictConfig, folder: Path, paths: Sequence[ManifestFile] | None 
         return
     ranges = [replace(r, direction=d) for r in _ranges(config, speeds) for d in directions]
     program.save_config(config, folder)
-    train_ranges(ranges, lambda one, where: train_one(_bound(config, one), where), folder)
+    train_ranges(
+        ranges,
+        lambda speeds_of_model, where: train_one(_bound(config, speeds_of_model), where),
+        folder,
+    )
 
 
 def _at_a_speed(config: DictConfig) -> DictConfig:

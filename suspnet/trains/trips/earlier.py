@@ -64,7 +64,7 @@ class FinishedTrips:
         """
         manifest = file.trip
         data = {manifest.file_of(source) for source in manifest.sources().values()}
-        states = {str(one): one.stat() for one in data}
+        states = {str(path): path.stat() for path in data}
         files = {name: [state.st_size, state.st_mtime_ns] for name, state in states.items()}
         return self._common | {"manifest": [str(manifest.path), file.data.hex()], "files": files}
 
@@ -149,4 +149,4 @@ def _references(models: Sequence[Model]) -> list[Reference]:
 
 def _kept(results: Sequence[TripResult], vehicle: str) -> list[TripResult]:
     """Return the trips that are stored: one that could not be read may be fixed by the next run."""
-    return [one for one in results if one.status != ERROR and one.vehicle == vehicle]
+    return [result for result in results if result.status != ERROR and result.vehicle == vehicle]

@@ -161,8 +161,8 @@ def table_of(trips: Iterable[tuple[Path, Mapping[str, Stated]]]) -> str:
     out = io.StringIO()
     rows = csv.writer(out, delimiter=";", lineterminator="\n")
     rows.writerow(["file", *WRITTEN])
-    for file, known in trips:
-        values = [known[key].value if key in known else "" for key in WRITTEN]
+    for file, stated in trips:
+        values = [stated[key].value if key in stated else "" for key in WRITTEN]
         rows.writerow([_cell_of(file.as_posix()), *values])
     return out.getvalue()
 
