@@ -225,11 +225,11 @@ def _of_features(
 def _feature_covariance(values: Tensor) -> tuple[Tensor, Tensor]:
     """Return the covariance (n, p, p) of draws (n, n_draws, p) without NaN, and their number."""
     complete = torch.isfinite(values).all(dim=2)
-    n_found = complete.sum(dim=1)
-    kept = torch.where(complete[:, :, None], values, 0.0)
-    mean = kept.sum(dim=1, keepdim=True) / n_found[:, None, None]
+    n_complete = complete.sum(dim=1)
+    filled = torch.where(complete[:, :, None], values, 0.0)
+    mean = filled.sum(dim=1, keepdim=True) / n_complete[:, None, None]
     centred = torch.where(complete[:, :, None], values - mean, 0.0)
-    return centred.mT @ centred / (n_found - 1)[:, None, None], n_found
+    return centred.mT @ centred / (n_complete - 1)[:, None, None], n_complete
 
 
 def _feature_jacobian(

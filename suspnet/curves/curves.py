@@ -148,8 +148,8 @@ def directions(observer: _CurveModel) -> Directions:
     jacobian = _jacobian(observer, every, ratios, torch.as_tensor(standard))
     values, vectors = torch.linalg.eigh((jacobian @ jacobian.mT).mean(dim=0))
     effects = values.clamp(min=0).sqrt()
-    kept = effects >= LEAST_EFFECT
-    factor = (every.factor.to(vectors) @ vectors)[:, kept].flip(1)
+    is_strong = effects >= LEAST_EFFECT
+    factor = (every.factor.to(vectors) @ vectors)[:, is_strong].flip(1)
     return Directions(every.generator, factor, float(effects[-1]))
 
 

@@ -387,9 +387,9 @@ class Protocol:
         return low, self.upper if self.mass_upper is None else self.mass_upper
 
 
-def _known(names: Sequence[str], allowed: Sequence[str], what: str) -> Sequence[str]:
+def _known(names: Sequence[str], allowed: Sequence[str], key: str) -> Sequence[str]:
     if not names or any(name not in allowed for name in names) or len(set(names)) < len(names):
         raise ValueError(
-            f"`{what}` must be chosen from {tuple(allowed)}, each once, got {list(names)}"
+            f"`{key}` must be chosen from {tuple(allowed)}, each once, got {list(names)}"
         )
     return names

@@ -302,9 +302,9 @@ def _migrated(content: dict[str, Any]) -> dict[str, Any]:
     bogie = content.pop("bogie", None)
     if bogie is not None:  # up to 9: it lay beside a fitted method, which is not needed
         law = content["training"].get("commissioned", {}).get(NOTE)
-        kept = ("schema_version", "suspnet_version", "generator", "settings", "training")
-        own = {key: content[key] for key in (*kept, "arrays_sha256")}
-        return own | {"model": BOGIE, "bogie": bogie | {"law": law}}
+        shared = ("schema_version", "suspnet_version", "generator", "settings", "training")
+        entry = {key: content[key] for key in (*shared, "arrays_sha256")}
+        return entry | {"model": BOGIE, "bogie": bogie | {"law": law}}
     if content["model"] == "msvr":  # up to 9: whether processes shared the fit, and its precision
         parameters = dict(content["parameters"])
         parameters.pop("distributed")

@@ -109,10 +109,9 @@ class DampingByVelocity:
         losses = []
         for name, i in CHANGING.items():
             healthy = self.healthy_m_per_s[i]
-            remaining = torch.stack(linear(self.drawn(), name, FASTER * healthy, healthy)).sum(
-                dim=0
-            )
-            low, high = np.quantile(100 * (1 - remaining.numpy()), [0.05, 0.95])
+            parts = linear(self.draws(), name, FASTER * healthy, healthy)
+            remaining = torch.stack(parts).sum(dim=0).numpy()
+            low, high = np.quantile(100 * (1 - remaining), [0.05, 0.95])
             losses.append(Finding("loss", name=name, low=max(low, 0.0), high=max(high, 0.0)))
         return Finding(
             "compared-at-velocities",
@@ -128,7 +127,7 @@ class DampingByVelocity:
         note = training.get("commissioned", {}).get(NOTE)
         return cls(**note) if note else None
 
-    def drawn(self) -> Tensor:
+    def draws(self) -> Tensor:
         """Return draws of the numbers, (n_draws, 5)."""
         power, vectors = np.linalg.eigh(np.array(self.covariance))
         spread = _standard() @ (vectors * np.sqrt(np.clip(power, 0.0, None))).T
@@ -140,7 +139,7 @@ class DampingByVelocity:
         `velocities_m_per_s` are the trip's sigma of each suspension, from `relative_velocities`.
         """
         values, low, high = (part.copy() for part in (estimate.values, estimate.low, estimate.high))
-        z, numbers = norm.ppf((1 + estimate.level) / 2), self.drawn()
+        z, numbers = norm.ppf((1 + estimate.level) / 2), self.draws()
         springs: FloatArray = np.ones(len(values))
         for name, i in CHANGING.items():
             if name not in estimate.names:

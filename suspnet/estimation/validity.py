@@ -209,15 +209,15 @@ def _check_place(place: Any) -> None:
         raise TypeError("`training.commissioned.place` must hold text")
 
 
-def check_same(given: Any, built: Any, where: str = "model.json") -> None:
+def check_same(stated: Any, built: Any, where: str = "model.json") -> None:
     """Raise ValueError unless a description agrees with that of the model built from it."""
-    if isinstance(given, dict) and isinstance(built, dict):
-        for key, value in given.items():
+    if isinstance(stated, dict) and isinstance(built, dict):
+        for key, value in stated.items():
             if key not in built:
                 raise ValueError(f"`{where}.{key}` is unknown")
             check_same(value, built[key], f"{where}.{key}")
-    elif isinstance(given, list) and isinstance(built, list) and len(given) == len(built):
-        for i, pair in enumerate(zip(given, built, strict=True)):
+    elif isinstance(stated, list) and isinstance(built, list) and len(stated) == len(built):
+        for i, pair in enumerate(zip(stated, built, strict=True)):
             check_same(*pair, f"{where}[{i}]")
-    elif type(given) is not type(built) or given != built:
-        raise ValueError(f"`{where}` is {given!r}, expected {built!r}")
+    elif type(stated) is not type(built) or stated != built:
+        raise ValueError(f"`{where}` is {stated!r}, expected {built!r}")

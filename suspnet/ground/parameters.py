@@ -56,9 +56,9 @@ def part_words(name: str) -> str:
     """
     if name not in BOGIE_PARTS:
         return name
-    what = "damper" if name[0] == "c" else "spring"
+    kind = "damper" if name[0] == "c" else "spring"
     where = place_words(name)
-    return f"{what} of {where}" if "axle" in name else f"secondary {what}, {where}"
+    return f"{kind} of {where}" if "axle" in name else f"secondary {kind}, {where}"
 
 
 def condensed(names: Iterable[str]) -> list[str]:

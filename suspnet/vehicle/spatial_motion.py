@@ -230,8 +230,8 @@ def _guided(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
         i, end = 1 + (wheel > 2), 1.0 if wheel % 2 else -1.0
         aside: Row = {f"y_{i}": 1.0, f"chi_{i}": end, f"theta_{i}": p["guide_lever"]}
         if "creep" not in layout.parts:
-            held: Row = {f"v{wheel}": -1.0, _roll(layout.parts, wheel): p["wheel_radius"]}
-            joints.append(Joint(guide, {**aside, **held}))
+            wheelset: Row = {f"v{wheel}": -1.0, _roll(layout.parts, wheel): p["wheel_radius"]}
+            joints.append(Joint(guide, {**aside, **wheelset}))
             continue
         joints.append(Joint(guide, {**aside, f"y_w{wheel}": -1.0}))
         lever = p["primary_lateral"] / p["half_wheelbase"]
