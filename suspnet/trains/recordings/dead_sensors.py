@@ -51,25 +51,25 @@ two sensors 1e-4 and more."""
 
 def living(
     manifest: TripManifest,
-    read: Mapping[str, Callable[[], SensorSignal]],
+    readers: Mapping[str, Callable[[], SensorSignal]],
     problems: Iterable[str] = (),
 ) -> tuple[list[SensorSignal], dict[str, str]]:
     """Return the signals of sensors, and why others have none, by name.
 
-    `read` returns the signal of each sensor. Raises one TripError with `problems` and those of all
-    sensors if any has another problem, or if less than ``LEAST_SENSORS`` are alive and one is dead
-    that is single or whose partner is dead, too.
+    `readers` return the signal of each sensor. Raises one TripError with `problems` and those of
+    all sensors if any has another problem, or if less than ``LEAST_SENSORS`` are alive and one is
+    dead that is single or whose partner is dead, too.
     """
     signals: list[SensorSignal] = []
     refused: dict[str, TripError] = {}
-    for name, signal in read.items():
+    for name, signal in readers.items():
         try:
             signals.append(signal())
         except TripError as error:
             refused[name] = error
     # a dead sensor is spared if its partner is alive, or enough others are
     dead = {name: error for name, error in refused.items() if isinstance(error, DeadSensorError)}
-    enough = len(read) - len(dead) >= LEAST_SENSORS
+    enough = len(readers) - len(dead) >= LEAST_SENSORS
     spared = [name for name in dead if enough or partner_of(name) not in ("", *dead)]
     faults = [
         words for name, error in refused.items() if name not in spared for words in error.problems

@@ -221,13 +221,13 @@ def partial_words(folder: Path) -> str:
         return ""
     try:
         marked = read_json(folder / UNFINISHED)
-        what = "suspensions" if "n_suspensions" in marked else "trips"
-        wanted = f" of {int(marked[f'n_{what}'])}"
+        noun = "suspensions" if "n_suspensions" in marked else "trips"
+        wanted = f" of {int(marked[f'n_{noun}'])}"
     except (OSError, ValueError, LookupError, TypeError):
-        what, wanted = "trips", ""
-    if what == "suspensions":
+        noun, wanted = "trips", ""
+    if noun == "suspensions":
         started = {path.parent for path in folder.glob("*/*.yaml")}
         n_written = sum(not (folder / UNFINISHED).exists() for folder in started)
     else:
         n_written = sum(path.is_file() for path in folder.glob("*.yaml"))
-    return f"partial: {n_written}{wanted} {what} are simulated"
+    return f"partial: {n_written}{wanted} {noun} are simulated"

@@ -325,7 +325,7 @@ def _refuse_events(path: Path, folders: Sequence[str]) -> None:
             is_read_only = not (isinstance(flags, int) and flags & _WRITES)
             is_allowed = is_read_only and (target == own or target.startswith(allowed))
         if not is_allowed:
-            what = f"{event} {arguments[0]}" if arguments else event
-            raise PermissionError(Finding("reader-misled", what=what))
+            action = f"{event} {arguments[0]}" if arguments else event
+            raise PermissionError(Finding("reader-misled", what=action))
 
     sys.addaudithook(hook)

@@ -173,12 +173,12 @@ def load_recording(manifest: TripManifest, rate_hz: float = 100.0) -> Recording:
     except TripError as error:  # read the sensors anyway, to report their problems as well
         track, offsets, problems = None, dict.fromkeys(sensors, 0.0), error.problems
     with ThreadPoolExecutor(MOST_AT_ONCE) as pool:
-        read = {
+        readers = {
             name: pool.submit(_read_sensor, manifest, name, offsets[name], rate_hz).result
             for name in sensors
         }
-        streams, dead = living(manifest, read, problems)
-    del read  # it holds the signals a second time
+        streams, dead = living(manifest, readers, problems)
+    del readers  # they hold the signals a second time
     recording = joined(manifest, streams, track, offsets.get("speed", 0.0), rate_hz, dead)
     # the date is not known to `joined`, which also serves streams
     return replace(recording, started=started, words=together((recording.words, doubt)))

@@ -177,13 +177,13 @@ class Running:
         missing = [name for name in self._sources if name not in started]
         if missing:
             raise TripError(f"{self.manifest.path}: nothing has come from {', '.join(missing)}")
-        read = {
+        readers = {
             name: partial(
                 self._sensors[name].signal, (self._clock_ns - self._zero_ns(name)) / SECOND_NS
             )
             for name in self.manifest.sensors()
         }
-        signals, dead = living(self.manifest, read)
+        signals, dead = living(self.manifest, readers)
         recording = joined(self.manifest, signals, self._track(), 0.0, self.rate_hz, dead)
         if self.rest is None:
             return recording

@@ -39,14 +39,14 @@ def same_speed(speeds: Tensor, within: Tensor, tolerance: float) -> list[Tensor]
     range that contains most of the segments `within`, then again for the remaining ones. `speeds`
     has the shape (n_segments, n_samples), [m/s].
     """
-    means, left, groups = speeds.mean(dim=1), within.clone(), []
+    means, remaining, groups = speeds.mean(dim=1), within.clone(), []
     widest = (1 + tolerance) / (1 - tolerance)
-    while bool(left.any()):  # each round takes at least one segment
-        lowest = means[left][:, None]
-        inside = (means >= lowest) & (means <= lowest * widest * (1 + 1e-9)) & left
+    while bool(remaining.any()):  # each round takes at least one segment
+        lowest = means[remaining][:, None]
+        inside = (means >= lowest) & (means <= lowest * widest * (1 + 1e-9)) & remaining
         group = inside[int(inside.sum(dim=1).argmax())]
         groups.append(group)
-        left = left & ~group
+        remaining = remaining & ~group
     return groups
 
 
