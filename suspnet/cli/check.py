@@ -99,6 +99,7 @@ def next_steps(
     evaluation. There is none for single manifests, trips of several vehicles, and a suspension that
     has too few ready trips.
     """
+    # a check without the vehicle's numbers says little: ask for them before anything else
     unchecked = {check.vehicle for check in checks if check.unchecked}
     if unknown := sorted(name for name in unchecked if name not in names):
         folder = own_vehicles(unknown[0])
@@ -112,14 +113,15 @@ def next_steps(
     ready_of = [[c for c in each if c.state == READY] for each in suspensions(checks).values()]
     n_ready = [len(ready) for ready in ready_of]
     folder, *others = arguments.trips
+    # a command that would fail or take part of the trips only is not proposed
     if any(check.unchecked for check in checks) or min(n_ready, default=0) < LEAST_TRIPS:
         return []
     if others or not folder.is_dir() or len(vehicles) != 1:
         return []
     when = "with the problems mended, run" if code else "then run"
     if arguments.run:
-        read = command("evaluate", f"trips={folder}", f"run={listed(arguments.run)}")
-        return [f"{when}: {read}"]
+        evaluation = command("evaluate", f"trips={folder}", f"run={listed(arguments.run)}")
+        return [f"{when}: {evaluation}"]
     n_healthy = min(N_HEALTHY, *n_ready)
     # later trips may have too little for parts, as with a sensor that comes loose
     shows_parts = all(sum(check.shows_parts for check in r) >= n_healthy for r in ready_of)

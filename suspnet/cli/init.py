@@ -65,11 +65,13 @@ def _write(paths: Sequence[Path], settings: Sequence[str], arguments: Namespace)
     rows = read_table(table) if table and table.exists() else {}
     vehicles = arguments.config_dir or own_vehicles(keys.get("vehicle", ""))
     trips = folders.folder_manifests(trip_files, folder, keys, rows, vehicles)
+    # a manifest may have been edited by hand, so it is replaced on request only
     new = [trip for trip in trips if arguments.force or not os.path.lexists(trip.path)]
     missing = list(dict.fromkeys(key for trip in new for key in trip.missing))
     of_vehicles = [] if vehicles is None else ["--config-dir", str(vehicles)]
     options = [*(["--table", str(table)] if table else []), *of_vehicles]
     wrong = _unknown_vehicles(vehicles, new)
+    # write all manifests or none: a folder half done would be checked and trained as it is
     if missing or wrong:
         print(f"{count(len(new), 'trip')} in {folder}; nothing is written yet; ", end="")
         print(f"these are {'missing or wrong' if wrong else 'missing'}:", *wrong, sep="\n")

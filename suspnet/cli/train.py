@@ -133,7 +133,7 @@ def _run(config: DictConfig, folder: Path, paths: Sequence[ManifestFile] | None 
         own.speed_m_per_s = speeds
         if "speed_half_width" in own.data:
             own.data.speed_half_width = _half_width(config)
-        train_one(_running(own, directions[0]), folder, given=config)
+        train_one(_running(own, directions[0]), folder, saved=config)
         return
     ranges = [replace(r, direction=d) for r in _ranges(config, speeds) for d in directions]
     program.save_config(config, folder)
@@ -277,9 +277,9 @@ def _train(
     config: DictConfig,
     folder: Path,
     healthy: _Healthy | None,
-    given: DictConfig | None = None,
+    saved: DictConfig | None = None,
 ) -> Metrics:
-    """Train one model and fill a folder; config.yaml holds `given`, or else `config`."""
+    """Train one model and fill a folder; config.yaml holds `saved`, or else `config`."""
     problem = Problem(
         generator=_generator(config, healthy),
         task=build(config, "protocol").task(config.group),
@@ -292,7 +292,7 @@ def _train(
         write_dataset(problem, path)
     model = build(config, "model")
     search = build(config, "search") if config.get("search") else None
-    resolved = program.save_config(given or config, folder)
+    resolved = program.save_config(saved or config, folder)
     return train(
         problem,
         model,

@@ -90,8 +90,8 @@ def create_app(
 
 def _choose_language(language: str | None) -> None:
     """Answer in a language, or in that of the browser; programs are answered in English."""
-    asked = request.accept_languages.values() if not _is_api() else ()
-    choose(language if language and not _is_api() else best_of(list(asked)))
+    languages = request.accept_languages.values() if not _is_api() else ()
+    choose(language if language and not _is_api() else best_of(list(languages)))
 
 
 def _form_error(error: CSRFError) -> Any:

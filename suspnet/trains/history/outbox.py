@@ -241,14 +241,14 @@ class _Fleet:
         """Return an alarm as messages contain it."""
         by = newest_of(alarm, self.seen.get(key, []))
         names = {"vehicle": key[0], **asdict(key[1])}
-        what = {"parameter": alarm.parameter, "cause": str(alarm.cause)}
-        event = [*names.values(), *what.values(), int(alarm.severity), alarm.begin_km]
+        subject = {"parameter": alarm.parameter, "cause": str(alarm.cause)}
+        event = [*names.values(), *subject.values(), int(alarm.severity), alarm.begin_km]
         return {
             "event": _digest(*event),
             "state": state,
             **names,
             "place": str(key[1]),
-            **what,
+            **subject,
             "severity": str(alarm.severity),
             "begin_km": alarm.begin_km,
             "end_km": or_null(alarm.end_km),

@@ -310,7 +310,7 @@ def read_stored(
     return of_key
 
 
-def row_of_stored(suspension: int, kept: Event | Alarm | Acknowledgement) -> dict[str, Any]:
+def row_of_stored(suspension: int, entry: Event | Alarm | Acknowledgement) -> dict[str, Any]:
     """Return an object as a row of its table."""
-    values = {name: or_null(value) for name, value in asdict(kept).items()}
-    return values | {"suspension_id": suspension, "words": stored(kept.words)}
+    values = {name: or_null(value) for name, value in asdict(entry).items()}
+    return values | {"suspension_id": suspension, "words": stored(entry.words)}

@@ -272,14 +272,14 @@ class History:
             return read_stored(connection, kind, self.bad_rows, where)
 
     def _store(
-        self, vehicle: str, place: Place, kept: Sequence[Event] | Sequence[Acknowledgement]
+        self, vehicle: str, place: Place, entries: Sequence[Event] | Sequence[Acknowledgement]
     ) -> None:
         with self._writing() as connection:
             (number,) = self._numbers(connection, [(vehicle, place)]).values()
             _raise_revisions(connection, [number])
-            if kept:
-                rows = [row_of_stored(number, entry) for entry in kept]
-                upsert(connection, TABLES[type(kept[0])], rows)
+            if entries:
+                rows = [row_of_stored(number, entry) for entry in entries]
+                upsert(connection, TABLES[type(entries[0])], rows)
 
     def _numbers(self, connection: Connection, keys: Iterable[Key]) -> dict[Key, int]:
         """Return the number of each suspension; HistoryError if one is unknown."""

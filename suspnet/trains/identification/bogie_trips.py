@@ -169,9 +169,9 @@ def _lost_sensors(recording: Recording, generator: SpatialVehicle) -> tuple[str,
     assert generator.sensors is not None
     places = _places(recording.manifest, generator.frame_sensor)
     living = {places.get(name) for name in recording.sensors()}
-    kept = [place for place in generator.sensors if place in living]
+    present = [place for place in generator.sensors if place in living]
     lost = tuple(place for place in generator.sensors if place not in living)
-    if lost and not show_parts(kept):
+    if lost and not show_parts(present):
         raise NoEstimateError(
             Finding(
                 "sensors-lost-for-parts",

@@ -261,6 +261,7 @@ def _at_steady_speeds(
         return _with_remarks(result, nothing, state=TOO_LITTLE), [every]
     speeds = segment_speeds(recording, segments)
     tolerance, least = settings.speed_tolerance, settings.min_speed_m_per_s
+    # group, average and judge as the evaluation does, so that both agree on what is enough
     groups = groups_to_read(speeds, tolerance, least, at_any_speed=at_any_speed)
     seen = [
         part

@@ -270,18 +270,18 @@ def _near(items: Sequence[Item], misfits: Sequence[float], nearly: float) -> lis
 
 
 def _other_end(
-    kind: str, where: str, given: SpatialVehicle, misfit: float, end: SpatialVehicle, least: float
+    kind: str, where: str, own: SpatialVehicle, misfit: float, end: SpatialVehicle, least: float
 ) -> str:
-    keys = [f"`{key}`" for key in ("bogie", "axle") if getattr(given, key) != getattr(end, key)]
+    keys = [f"`{key}`" for key in ("bogie", "axle") if getattr(own, key) != getattr(end, key)]
     words = Finding(
         kind,
         axle=end.axle,
         bogie=end.bogie,
         least=least,
-        own_axle=given.axle,
-        own_bogie=given.bogie,
+        own_axle=own.axle,
+        own_bogie=own.bogie,
         misfit=misfit,
-        # with both, it moves like the given one in the other direction
+        # with both, it moves like its own end in the other direction
         keys=Finding("bogie-or-direction") if len(keys) > 1 else keys[0],
     )
     return of(where, words) if where else words

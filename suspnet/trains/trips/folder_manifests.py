@@ -126,6 +126,7 @@ def folder_manifests(
     with all `problems` if files cannot be read; ValueError if the table names a trip that is not
     there.
     """
+    # a table names a trip by its manifest or by any of its files
     names = {
         trip.path: {trip.path.stem, *names_of([_relative(file, folder) for file in trip.files])}
         for trip in trip_files
@@ -142,6 +143,7 @@ def folder_manifests(
         for key, value in command_line.items()
         if key in PLACE_KEYS
     }
+    # the more specific source counts: a row of the table over the command line over the files
     trips = []
     for trip in trip_files:
         several = [contents[file] for file in trip.files]
@@ -214,7 +216,7 @@ def _trip(
     elif SPEED in command_line:
         stated[SPEED] = Stated(_plain_value(SPEED, command_line[SPEED]), BY_COMMAND_LINE)
     sensors = [signal for signal in signals if key_of(signal.name) != MILEAGE]
-    own = tuple(_with_said(signal, command_line, chosen) for signal in sensors)
+    own = tuple(_with_settings(signal, command_line, chosen) for signal in sensors)
     # columns that were chosen count more than those that are guessed by their names
     by_meaning: dict[str, list[Signal]] = {key: [] for key in (*CHANNELS, SPEED)}
     for signal in own:
@@ -282,8 +284,8 @@ class _Writer:
         entries = [f"    - {self._entry(signal, ACCELERATION)}" for signal in vertical]
         return [f"  {name}:  # {self._how(name, f'channels.{name}')}", *entries]
 
-    def _how(self, what: str, key: str) -> str:
-        if what in self.chosen:
+    def _how(self, name: str, key: str) -> str:
+        if name in self.chosen:
             return BY_COMMAND_LINE
         self.guesses.append(key)
         return "guess by the name"
@@ -377,7 +379,7 @@ def _named(key: str, word: str, signals: Sequence[Signal]) -> list[Address]:
     return [by_side[side] for side in sorted(by_side)] if len(by_side) == len(named) else []
 
 
-def _with_said(
+def _with_settings(
     signal: Signal, command_line: Mapping[str, str], chosen: Mapping[str, Mapping[Address, int]]
 ) -> Signal:
     """Return a signal with what was said for all: side, axle, unit and rate.

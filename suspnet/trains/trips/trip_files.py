@@ -139,8 +139,8 @@ def read_table(path: Path) -> dict[str, dict[str, Stated]]:
     for number, row in enumerate(rows[1:], start=2):
         trip = row[file].strip() if len(row) > file else ""
         if not trip or trip in table:
-            what = f"{trip!r} a second time" if trip else "no file"
-            raise ValueError(f"{path}, row {number}: it names {what}")
+            fault = f"{trip!r} a second time" if trip else "no file"
+            raise ValueError(f"{path}, row {number}: it names {fault}")
         table[trip] = {}
         for name, cell in zip(names, row, strict=False):
             key = key_of(name)
