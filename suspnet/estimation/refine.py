@@ -256,7 +256,7 @@ class _Search:
             accelerated=last and bool(self.n_directions),
         )
         return solver.minimise(
-            lambda point, which: self._residual(point, rows[which], temperature), start
+            lambda point, at: self._residual(point, rows[at], temperature), start
         )
 
     def _residual(self, point: Tensor, rows: Tensor, temperature: float) -> Tensor:

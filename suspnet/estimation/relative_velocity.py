@@ -144,12 +144,9 @@ class DampingByVelocity:
         for name, i in CHANGING.items():
             if name not in estimate.names:
                 continue
-            j, own, healthy = (
-                estimate.names.index(name),
-                velocities_m_per_s[i],
-                self.healthy_m_per_s[i],
-            )
-            slope, offset = (part.numpy()[:, None] for part in linear(numbers, name, own, healthy))
+            j = estimate.names.index(name)
+            law = linear(numbers, name, velocities_m_per_s[i], self.healthy_m_per_s[i])
+            slope, offset = (part.numpy()[:, None] for part in law)
             offset = offset * springs
             logs = np.log(np.maximum((estimate.values[:, j] - offset) / slope, LEAST_RATIO))
             values[:, j] = np.exp(logs.mean(axis=0))

@@ -263,14 +263,16 @@ def limits_words(limits: Mapping[str, Limits]) -> str:
     A part is named only if its limits are not those of its parameter.
     """
     alike: dict[Limits, list[str]] = {}
-    for name, own in limits.items():
-        if name == kind_of(name) or own != limits.get(kind_of(name)):
-            alike.setdefault(own, []).append(name)
+    for name, of_part in limits.items():
+        if name == kind_of(name) or of_part != limits.get(kind_of(name)):
+            alike.setdefault(of_part, []).append(name)
     parts = [
         of(
             ", ".join(names),
-            Finding("with-reason", words=str(own), reason=own.why) if own.why else str(own),
+            Finding("with-reason", words=str(shared), reason=shared.why)
+            if shared.why
+            else str(shared),
         )
-        for own, names in alike.items()
+        for shared, names in alike.items()
     ]
     return together(parts) or "none"

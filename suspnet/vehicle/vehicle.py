@@ -161,8 +161,10 @@ class Vehicle:
         check_settings(self)
         if self.limits is not None:
             limits = self.known_limits
-            own = {name: limits[name].to_dict() if name in limits else None for name in self.limits}
-            object.__setattr__(self, "limits", own)
+            plain = {
+                name: limits[name].to_dict() if name in limits else None for name in self.limits
+            }
+            object.__setattr__(self, "limits", plain)
         for suspension in ("primary", "secondary"):
             frequency_hz = getattr(self, f"{suspension}_frequency_hz")
             quantity = f"uncoupled {suspension} natural frequency [Hz]"
