@@ -80,8 +80,8 @@ def comparable(
     A trip is if it is relative to one of `references`, has no estimate, or is of `results`. One
     with a start is neither if it is one of `results` that has none: it is the same trip.
     """
-    own = trips.c.key.in_([trip_key(result) for result in results])
-    chosen = sql.or_(trips.c.status != OK, own, *map(_is_relative_to, references))
+    is_in_results = trips.c.key.in_([trip_key(result) for result in results])
+    chosen = sql.or_(trips.c.status != OK, is_in_results, *map(_is_relative_to, references))
     same = (
         sql.and_(trips.c.trip == result.trip, _is(trips.c.mileage_km, result.mileage_km))
         for result in results

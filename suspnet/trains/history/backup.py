@@ -46,8 +46,8 @@ def restore(copy: Path, place: str) -> int:
     SQLite would apply to the restored store, or if the backup is damaged or not a store.
     """
     _check_file(place)
-    there = "nothing is replaced: move this file away first, and end the programs that use it"
-    _check_absent(Path(place), ("", *COMPANIONS), there)
+    remedy = "nothing is replaced: move this file away first, and end the programs that use it"
+    _check_absent(Path(place), ("", *COMPANIONS), remedy)
     if not copy.is_file():
         raise HistoryError(f"{copy}: there is no such backup")
     return _copied(copy, Path(place))

@@ -308,10 +308,12 @@ def _chosen(
     for key, alarms in fleet.alarms.items():
         if not recipient.is_about(key) or key not in fleet.ids:
             continue
-        own = [((fleet.ids[key], a.parameter, str(a.cause)), a) for a in alarms]
+        identified = [((fleet.ids[key], a.parameter, str(a.cause)), a) for a in alarms]
         # the last alarm that starts up to the noted mileage is the one that was reported
-        last = {of: a for of, a in own if of in reported and a.begin_km <= reported[of].at_km}
-        for of, alarm in own:
+        last = {
+            of: a for of, a in identified if of in reported and a.begin_km <= reported[of].at_km
+        }
+        for of, alarm in identified:
             before = reported.get(of)
             state = before.state(alarm, alarm is last.get(of)) if before else "new"
             is_news = state in ("new", "worse")

@@ -72,9 +72,9 @@ def direction_of(
     groups = groups_to_read(speeds, settings.speed_tolerance, settings.min_speed_m_per_s)
     if not groups:
         return FORWARD  # nothing is read of it
-    there = replace(generator, speed_m_per_s=float(speeds[groups[0]].mean()))
+    at_speed = replace(generator, speed_m_per_s=float(speeds[groups[0]].mean()))
     spectra = segments.average(groups[0])
-    direction, factor = shown_direction(spectra, segments.frequencies_hz, there)
+    direction, factor = shown_direction(spectra, segments.frequencies_hz, at_speed)
     if factor < DIRECTION_MARGIN:
         raise TripError(
             at(

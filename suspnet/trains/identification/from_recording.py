@@ -99,7 +99,7 @@ def read_trip(pairs: Pairs, recording: Recording, settings: TripSettings) -> Tri
     model, segments = pairs[0]
     if isinstance(model, BogieModel):
         return _of_parts(model, segments, recording, settings)
-    methods = [(m, own) for m, own in pairs if isinstance(m, FittedMethod)]
+    methods = [(m, segments) for m, segments in pairs if isinstance(m, FittedMethod)]
     return _of_equal_sides(methods, recording, settings)
 
 
@@ -203,10 +203,10 @@ def _groups_read(
             return [NoEstimateError(_too_short(recording, segments, settings))]
         return [NoEstimateError(no_group_words(speeds, groups, models, tolerance, least))]
     trained = trip_settings(method)
-    own = groups_of(method, models, speeds, groups)
+    groups_of_method = groups_of(method, models, speeds, groups)
     lines = () if any_speed else wheel_lines(recording)
     readings: list[SpeedBin | NoEstimateError] = []
-    for part in steady(segments, speeds, own, trained, settings, lines):
+    for part in steady(segments, speeds, groups_of_method, trained, settings, lines):
         try:
             doubts = _checked(method.generator, recording, part, segments, settings)
             if part.spectra is None or not part.has_enough:

@@ -179,11 +179,11 @@ class _Trip:
             shared = information[:n, mass] / np.sqrt(information[mass, mass] + MASS_DEVIATION**-2)
             n_trips = n_healthy / len(HEALTHY_MASSES)
             prior += n_trips * (information[:n, :n] - np.outer(shared, shared))
-        own = np.diag([WEAR**-2] * (len(COMPONENTS) - 1) + [MASS_DEVIATION**-2])
+        prior_of_trip = np.diag([WEAR**-2] * (len(COMPONENTS) - 1) + [MASS_DEVIATION**-2])
         known, learnt = [], []
         for part in COMPONENTS[:-1]:
             whole = self._information({part: WORN, COMPONENTS[-1]: np.exp(MASS_MEAN)})
-            whole[n:, n:] += own
+            whole[n:, n:] += prior_of_trip
             known.append(np.diag(np.linalg.inv(whole[n:, n:])))
             whole[:n, :n] += prior
             learnt.append(np.diag(np.linalg.inv(whole))[n:])
@@ -264,8 +264,8 @@ def spectral_information(
     moved = torch.linalg.solve_triangular(root, moved, upper=False)
     moved = moved.reshape(n_freq, m, -1, p).transpose(1, 2)  # (n_freq, n_directions, m, p)
     half = density[:, None, None, None] * (moved @ a.mH[:, None])
-    own = [a[:, :, list(inputs)] @ a[:, :, list(inputs)].mH for inputs in alone]
-    w = torch.cat([half + half.mH, *(spectrum[:, None] for spectrum in own)], dim=1)
+    spectra = [a[:, :, list(inputs)] @ a[:, :, list(inputs)].mH for inputs in alone]
+    w = torch.cat([half + half.mH, *(spectrum[:, None] for spectrum in spectra)], dim=1)
     if n_coherent:
         basis = torch.linalg.qr(a[:, :, :n_coherent])[0]
         projector = (basis @ basis.mH)[:, None]

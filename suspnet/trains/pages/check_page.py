@@ -141,8 +141,8 @@ def with_distinct_names(checks: Sequence[TripCheck]) -> list[TripCheck]:
         folders.setdefault(check.name, []).append(check.manifest.absolute().parent)
     named = []
     for check in checks:
-        if len(own := folders[check.name]) > 1:
-            below = check.manifest.absolute().parent.relative_to(os.path.commonpath(own))
+        if len(same_name := folders[check.name]) > 1:
+            below = check.manifest.absolute().parent.relative_to(os.path.commonpath(same_name))
             check = replace(check, label=printable((below / check.name).as_posix()))
         named.append(check)
     return named
@@ -319,8 +319,8 @@ def write_checks(checks: Sequence[TripCheck], elsewhere: Sequence[str], output: 
         trains=train_words(checks),
         checks=checks,
         findings=[
-            [s for s in check.remarks if s not in own]
-            for check, own in zip(checks, on_files, strict=True)
+            [s for s in check.remarks if s not in of_file]
+            for check, of_file in zip(checks, on_files, strict=True)
         ],
         read_as=[words for words, _ in _by_words(zip(names, on_files, strict=True))],
         tones=TONES,

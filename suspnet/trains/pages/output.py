@@ -218,10 +218,18 @@ def _metrics(report: Report) -> dict[str, Any]:
             name: state.limits[name].to_dict() for name in report.outputs if name in state.limits
         },
         "trends": [
-            asdict(own.trend)
-            | {"changed": own.trend.changed, "severity": str(own.severity), "words": own.words}
-            | {"now": own.now, "life": _life_row(own.life), "unknown_life": own.unknown_life}
-            for own in state.assessments
+            asdict(assessment.trend)
+            | {
+                "changed": assessment.trend.changed,
+                "severity": str(assessment.severity),
+                "words": assessment.words,
+            }
+            | {
+                "now": assessment.now,
+                "life": _life_row(assessment.life),
+                "unknown_life": assessment.unknown_life,
+            }
+            for assessment in state.assessments
         ],
         "commissionings": [asdict(commissioning) for commissioning in report.commissionings],
         "maintenance": [asdict(event) for event in state.series.events],
@@ -237,7 +245,9 @@ def write_overview(done: Sequence[Evaluated], output: Path) -> str:
     """
     rows = [suspension.row() for suspension in done]
     entries = [
-        (str(own.place), f"{own.name}/{REPORT}", own.state) for own in done if own.state is not None
+        (str(suspension.place), f"{suspension.name}/{REPORT}", suspension.state)
+        for suspension in done
+        if suspension.state is not None
     ]
     linked = [
         row | ({"address": quote(row["report"])} if row["report"] else {})

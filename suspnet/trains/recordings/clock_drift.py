@@ -97,10 +97,10 @@ def compared_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
     They are neighbouring channels, both sides of each, and those of the other axle with the first.
     """
     by_channel = [[name for name in names if channel_of(name) == channel] for channel in CHANNELS]
-    sides = [own for own in by_channel if own]
+    sides = [sensors for sensors in by_channel if sensors]
     elsewhere = [(sides[0][0], name) for name in names if sides and not channel_of(name)]
-    pairs = [(own[0], own[1]) for own in sides if len(own) == 2]
-    return [*pairwise(own[0] for own in sides), *pairs, *elsewhere]
+    pairs = [(sensors[0], sensors[1]) for sensors in sides if len(sensors) == 2]
+    return [*pairwise(sensors[0] for sensors in sides), *pairs, *elsewhere]
 
 
 def _words(manifest: TripManifest, first: str, second: str, drift: Drift) -> tuple[str, float]:

@@ -158,8 +158,8 @@ class Dialect:
 
     def has_numbers(self, cells: Sequence[str]) -> bool:
         """Return whether a line above the rows has a number in a column of numbers."""
-        own = [cells[i] for i, kind in enumerate(self.kinds) if kind is None]
-        return any(cell not in MISSING and NUMBER[self.decimal].fullmatch(cell) for cell in own)
+        numbers = [cells[i] for i, kind in enumerate(self.kinds) if kind is None]
+        return any(cell not in MISSING and NUMBER[self.decimal].fullmatch(cell) for cell in numbers)
 
 
 def find_dialect(path: Path, stated: CsvDialect | None = None) -> Dialect:

@@ -219,13 +219,15 @@ def _field(dataset: Any, name: str) -> _View:
 
 def _packed(dataset: Any, h5py: Any) -> Any:
     """Return a data set with scale, offset and missing samples as its attributes mean them."""
-    own = _attributes(dataset)
-    numbers = {key: np.array(own[key], np.float64, ndmin=1) for key in PACKING if key in own}
+    attributes = _attributes(dataset)
+    numbers = {
+        key: np.array(attributes[key], np.float64, ndmin=1) for key in PACKING if key in attributes
+    }
     missing = [numbers[name] for name in MISSING_NAMES if name in numbers]
     chosen = dataset.id.get_create_plist().fill_value_defined()
     if chosen == h5py.h5d.FILL_VALUE_USER_DEFINED and dataset.fillvalue != 0:  # 0 may be a sample
         missing.append(np.array([dataset.fillvalue], dtype=np.float64))
-    is_unsigned = dataset.dtype.kind == "i" and str(own.get("_Unsigned")).lower() == "true"
+    is_unsigned = dataset.dtype.kind == "i" and str(attributes.get("_Unsigned")).lower() == "true"
     if not numbers and not missing and not is_unsigned:
         return dataset
     scale, offset = numbers.get("scale_factor", np.ones(1)), numbers.get("add_offset", np.zeros(1))

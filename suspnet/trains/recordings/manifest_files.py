@@ -75,7 +75,9 @@ class ManifestFile:
             content = content | {"speed": _with_file(content.get("speed"))}
             channels = content.get("channels")
             if isinstance(channels, dict):
-                content["channels"] = {name: _with_file(own) for name, own in channels.items()}
+                content["channels"] = {
+                    name: _with_file(source) for name, source in channels.items()
+                }
         return _parsed(self.path, content)
 
     @property
@@ -111,9 +113,9 @@ class ManifestFile:
         if not isinstance(self.content, dict):
             return {}
         sources, channels = {"speed": self.content.get("speed")}, self.content.get("channels")
-        for name, own in channels.items() if isinstance(channels, dict) else ():
-            several = own if isinstance(own, list) else []
-            sources[f"channels.{name}"] = own
+        for name, source in channels.items() if isinstance(channels, dict) else ():
+            several = source if isinstance(source, list) else []
+            sources[f"channels.{name}"] = source
             sources |= {f"channels.{name}[{i}]": sensor for i, sensor in enumerate(several)}
         return {
             key: source

@@ -264,8 +264,13 @@ class Running:
     def identity(self) -> list[Any]:
         """Values that a state must share with the recording that continues it."""
         sensors = {
-            name: [own.unit, own.rate_hz, getattr(own, "sign", 1), getattr(own, "range", None)]
-            for name, own in self._sources.items()
+            name: [
+                source.unit,
+                source.rate_hz,
+                getattr(source, "sign", 1),
+                getattr(source, "range", None),
+            ]
+            for name, source in self._sources.items()
         }
         settings = [self.rate_hz, self.longest_s, self.before_s, asdict(self.order)]
         return [self._name, self.zero_ns, sensors, *settings]

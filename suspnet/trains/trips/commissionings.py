@@ -72,11 +72,11 @@ def commissionings(models: Sequence[Model], results: Sequence[TripResult]) -> li
     return [
         Commissioning(
             since_km(model),
-            own,
-            {name: value / healthy_si[0][name] for name, value in own.items()},
+            values_si,
+            {name: value / healthy_si[0][name] for name, value in values_si.items()},
             tuple(model.training["commissioned"].get("trips", ())),
         )
-        for model, own in zip(used, healthy_si, strict=True)
+        for model, values_si in zip(used, healthy_si, strict=True)
     ]
 
 

@@ -216,10 +216,10 @@ def _trip(
     elif SPEED in command_line:
         stated[SPEED] = Stated(_plain_value(SPEED, command_line[SPEED]), BY_COMMAND_LINE)
     sensors = [signal for signal in signals if key_of(signal.name) != MILEAGE]
-    own = tuple(_with_settings(signal, command_line, chosen) for signal in sensors)
+    completed = tuple(_with_settings(signal, command_line, chosen) for signal in sensors)
     # columns that were chosen count more than those that are guessed by their names
     by_meaning: dict[str, list[Signal]] = {key: [] for key in (*CHANNELS, SPEED)}
-    for signal in own:
+    for signal in completed:
         for key in by_meaning:
             is_guess = key not in chosen and signal.meaning == key
             if is_guess or signal.address in chosen.get(key, ()):
@@ -250,7 +250,7 @@ def _trip(
         required.append("side")
     missing = tuple(dict.fromkeys([*required, *writer.missing]))
     text = "\n".join(map(_on_one_line, lines)) + "\n"
-    return Trip(path, trip.files, stated, own, text, missing, tuple(writer.guesses))
+    return Trip(path, trip.files, stated, completed, text, missing, tuple(writer.guesses))
 
 
 def _stated_line(key: str, stated: Stated) -> str:
@@ -278,7 +278,8 @@ class _Writer:
         """Return the lines of a channel: one sensor, or a left and a right one, at each axle."""
         vertical = [s for s in candidates if not is_of_another_direction(s.name)] or candidates
         sides = [[s.side for s in vertical if (s.axle == 2) == is_other] for is_other in (0, 1)]
-        if not vertical or any(len(own) > 1 and sorted(own) != sorted(SIDES) for own in sides):
+        is_odd = [len(at_axle) > 1 and sorted(at_axle) != sorted(SIDES) for at_axle in sides]
+        if not vertical or any(is_odd):
             self.missing.append(f"channels.{name}")
             return []
         entries = [f"    - {self._entry(signal, ACCELERATION)}" for signal in vertical]
@@ -429,8 +430,9 @@ def _names_of_columns(trips: Sequence[Trip]) -> str:
     names: dict[str, None] = {}
     note = ""
     for trip in trips:
-        own = [signal.name for signal in trip.signals]
-        of_loggers = len(own) < len(CHANNELS) or len(set(own)) < len(own)
+        column_names = [signal.name for signal in trip.signals]
+        n_names = len(set(column_names))
+        of_loggers = len(column_names) < len(CHANNELS) or n_names < len(column_names)
         for signal in trip.signals:
             logger = signal.file.stem.removeprefix(trip.path.stem).strip("_-. ") or signal.file.stem
             names[f"{logger}:{signal.name}" if of_loggers else signal.name] = None

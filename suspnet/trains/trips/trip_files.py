@@ -69,7 +69,7 @@ def find_trip_files(
         trips = [folder / "_".join(trip.relative_to(folder).parts) for trip in trips]
     names = distinct(str(trip.with_name(shortened(trip.name, MOST_NAME_BYTES))) for trip in trips)
     pairs = zip(names, by_trip.values(), strict=True)
-    return [TripFiles(Path(f"{name}.yaml"), tuple(own)) for name, own in pairs]
+    return [TripFiles(Path(f"{name}.yaml"), tuple(files)) for name, files in pairs]
 
 
 def _files(folder: Path, depth: int) -> Iterable[Path]:
@@ -169,8 +169,8 @@ def table_of(trips: Iterable[tuple[Path, Mapping[str, Stated]]]) -> str:
 
 def names_of(files: Sequence[Path]) -> set[str]:
     """Return the names that a table may give to files, whose paths are relative to its folder."""
-    own = {name for file in files for name in (file.name, file.stem)}
-    return own | {name for file in files for name in (file.as_posix(), _cell_of(file.as_posix()))}
+    plain = {name for file in files for name in (file.name, file.stem)}
+    return plain | {name for file in files for name in (file.as_posix(), _cell_of(file.as_posix()))}
 
 
 def _cell_of(name: str) -> str:
