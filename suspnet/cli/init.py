@@ -102,11 +102,11 @@ def _write(paths: Sequence[Path], settings: Sequence[str], arguments: Namespace)
 
 def _unknown_vehicles(folder: Path | None, trips: Sequence[folders.Trip]) -> list[str]:
     """Return a line on each vehicle of the trips that neither the folder nor suspnet has."""
-    own: set[str] = set()
+    names: set[str] = set()
     if folder is not None:
         from suspnet.cli.kinds import vehicles_with  # with Hydra
 
-        own = {vehicle.name for vehicle in vehicles_with(folder).values()}
+        names = {vehicle.name for vehicle in vehicles_with(folder).values()}
     stated = dict.fromkeys(t.stated["vehicle"] for t in trips if "vehicle" in t.stated)
     return [
         printable(
@@ -116,7 +116,7 @@ def _unknown_vehicles(folder: Path | None, trips: Sequence[folders.Trip]) -> lis
             f"vehicle/{vehicle.value}.yaml, which suspnet init --vehicle writes"
         )
         for vehicle in stated
-        if str(vehicle.value) not in own and not is_shipped(str(vehicle.value))
+        if str(vehicle.value) not in names and not is_shipped(str(vehicle.value))
     ]
 
 

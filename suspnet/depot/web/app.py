@@ -117,9 +117,9 @@ def _http_error(error: HTTPException) -> Any:
     code = error.code or 500
     # the pages' own descriptions are for visitors, those of werkzeug are not
     is_own = code == 403 or (code == 404 and request.path.startswith("/suspension/"))
-    own = error.description if is_own else None
+    description = error.description if is_own else None
     other = N_("Something went wrong; see the program's terminal.")
-    words = own or gettext(MESSAGES.get(code, other))
+    words = description or gettext(MESSAGES.get(code, other))
     return message_page(gettext(error.name), words), code
 
 
