@@ -345,7 +345,7 @@ def _taken(arrays: dict[str, FloatArray], prefix: str) -> dict[str, FloatArray]:
 
 
 def _tagged(value: Any, kinds: Mapping[str, type]) -> dict[str, Any]:
-    kind = next(name for name, one in kinds.items() if type(value) is one)
+    kind = next(name for name, settings_class in kinds.items() if type(value) is settings_class)
     return {"kind": kind, **asdict(value)}
 
 

@@ -238,7 +238,7 @@ class OODDetector:
             distances[complete] = self.distances(inputs[complete])
         # (n_curves, n_unknown)
         outside = np.stack([_outside(task, name, refined) for name in refined.names], axis=1)
-        given = []
+        rows = []
         for i, (words, distance, misfit) in enumerate(
             zip(missing, distances, refined.misfit, strict=True)
         ):
@@ -263,8 +263,8 @@ class OODDetector:
                         ),
                     )
                 )
-            given.append(tuple(reasons))
-        return Flags(tuple(given))
+            rows.append(tuple(reasons))
+        return Flags(tuple(rows))
 
     def _far(self, task: Task, inputs: FloatArray, distance: float) -> str:
         low, high = self.reference.min(axis=0), self.reference.max(axis=0)

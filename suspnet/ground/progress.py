@@ -92,17 +92,17 @@ def on_stderr(before: str = "") -> Iterator[None]:
     """
     root = logging.getLogger()
     consoles = [h for h in root.handlers if getattr(h, "stream", None) is sys.stdout]
-    own = logging.StreamHandler(sys.stderr)
-    own.setFormatter(LineFormatter(f"{before}%(message)s"))
-    own.addFilter(logging.Filter(log.name))
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(LineFormatter(f"{before}%(message)s"))
+    handler.addFilter(logging.Filter(log.name))
     for console in consoles:
         console.addFilter(_is_result)
-    root.addHandler(own)
+    root.addHandler(handler)
     log.setLevel(logging.INFO)
     try:
         yield
     finally:
-        root.removeHandler(own)
+        root.removeHandler(handler)
         for console in consoles:
             console.removeFilter(_is_result)
 

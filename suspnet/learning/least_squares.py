@@ -344,12 +344,14 @@ def derivatives(
     unit_steps = size * torch.eye(theta.shape[1], dtype=theta.dtype, device=theta.device)
     columns, second = [], []
     for steps in unit_steps.split(max(1, AT_ONCE // n_rows)):
-        which = rows.repeat(len(steps))
-        above = residual((theta + steps[:, None]).flatten(0, 1), which).unflatten(0, (-1, n_rows))
+        repeated = rows.repeat(len(steps))
+        above = residual((theta + steps[:, None]).flatten(0, 1), repeated).unflatten(
+            0, (-1, n_rows)
+        )
         below = values
         if not one_sided:
             moved = (theta - steps[:, None]).flatten(0, 1)
-            below = residual(moved, which).unflatten(0, (-1, n_rows))
+            below = residual(moved, repeated).unflatten(0, (-1, n_rows))
         columns.append(above - below)
         bent = torch.zeros_like(columns[-1]) if one_sided else above + below - 2 * values
         second.append((bent * values).sum(dim=2))

@@ -89,22 +89,22 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
     # methods that work on curves learn nothing: they fit the model's own curve to each
     if not flag(estimator, "works_on_curves"):
         data = problem.features(TRAIN)
-        kept = data.complete(problem.extractor)
-        n_made, n_kept = len(data.inputs), len(kept.inputs)
-        if 1 - n_kept / n_made > TOO_MANY_LOST:
+        complete = data.complete(problem.extractor)
+        n_made, n_complete = len(data.inputs), len(complete.inputs)
+        if 1 - n_complete / n_made > TOO_MANY_LOST:
             log.warning(
                 "%.1f %% of the training curves lack a feature and are left out; of peaks look at "
                 "figures/peaks.png and protocol.features (smoothing_hz, low_hz, high_hz)",
-                100 * (1 - n_kept / n_made),
+                100 * (1 - n_complete / n_made),
             )
         # scale, then fit: iterations and seconds are those of the fit alone
-        of_inputs, of_outputs = scalings(problem.task, kept)
+        of_inputs, of_outputs = scalings(problem.task, complete)
         model = replace(model, input_scaling=of_inputs, output_scaling=of_outputs)
         start = time.perf_counter()
-        with _FitProgress(estimator, name, run_log, n_kept, problem.progress):
-            estimator.fit(of_inputs.apply(kept.inputs), of_outputs.apply(kept.outputs))
+        with _FitProgress(estimator, name, run_log, n_complete, problem.progress):
+            estimator.fit(of_inputs.apply(complete.inputs), of_outputs.apply(complete.outputs))
         training["seconds"] = time.perf_counter() - start
-        training |= {"n_train": n_made, "n_train_complete": n_kept}
+        training |= {"n_train": n_made, "n_train_complete": n_complete}
     training |= _summary(estimator)
     return replace(model, training=training)
 

@@ -119,8 +119,8 @@ def with_swept(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[dict[str
     for path in sorted(folder.glob(f"*/{HYDRA}/overrides.yaml")):
         pairs = (str(override).lstrip("+").partition("=") for override in read_yaml(path))
         settings[path.parents[1].name] = {key: value for key, _, value in pairs}
-    keys = dict.fromkeys(key for own in settings.values() for key in own)
-    swept = [key for key in keys if len({own.get(key) for own in settings.values()}) > 1]
+    keys = dict.fromkeys(key for values in settings.values() for key in values)
+    swept = [key for key in keys if len({values.get(key) for values in settings.values()}) > 1]
     return [
         {**row, **{key: settings.get(row["job"], {}).get(key, "") for key in swept}} for row in rows
     ]

@@ -77,7 +77,7 @@ def table6_markdown(records: Sequence[Record]) -> str:
     """
     models = models_of(records)
     header = ["group", "output", "metric"]
-    header += [f"{MODEL_TITLES[m]} {what}" for m in models for what in ("paper", "ours")]
+    header += [f"{MODEL_TITLES[m]} {source}" for m in models for source in ("paper", "ours")]
     rows = []
     for (group, output, metric), same in grouped(records, "group", "output", "metric").items():
         row: list[str] = [group, output, "MAPE %" if metric == "mape_percent" else "RMSE"]

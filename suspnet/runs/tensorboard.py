@@ -116,8 +116,8 @@ class RunLog:
         for info in declared.experiment.hparam_infos:
             info.differs = info.name in SHOWN_FIRST
         content.content = declared.SerializeToString()
-        own = {k: v for k, v in values.items() if k in HYPERPARAMETERS and v is not None}
-        _, start, _ = hparams(own, finals)
+        used = {k: v for k, v in values.items() if k in HYPERPARAMETERS and v is not None}
+        _, start, _ = hparams(used, finals)
         for summary in (experiment, start, end):
             self._writer._get_file_writer().add_summary(summary)
         self.scalars("final", metrics, 0)

@@ -277,19 +277,19 @@ class Trains:
 
         The suspensions that wear are drawn at random.
         """
-        drawn: list[tuple[Aboard, int, int]] = []
+        candidates: list[tuple[Aboard, int, int]] = []
         for train in range(1, self.trains + 1):
             shared = _seeds(seed, train)[0]
             first_start = FIRST_DAY + HEADWAY * (train - 1)
             for car in range(1, (self.cars or 1) + 1):
                 for i, bogie in enumerate(ENDS):
                     aboard = Aboard(str(train), str(car), bogie, first_start, shared)
-                    drawn.append((aboard, *_seeds(seed, train, car, i + 1)))
-        by_lot = sorted(range(self.n_all), key=lambda i: drawn[i][2])
+                    candidates.append((aboard, *_seeds(seed, train, car, i + 1)))
+        by_lot = sorted(range(self.n_all), key=lambda i: candidates[i][2])
         wearing = set(by_lot[: self.n_wearing])
         return [
-            SimulatedSuspension(aboard, own, i in wearing)
-            for i, (aboard, own, _) in enumerate(drawn)
+            SimulatedSuspension(aboard, own_seed, i in wearing)
+            for i, (aboard, own_seed, _) in enumerate(candidates)
         ]
 
 

@@ -85,14 +85,14 @@ def simulate_trip(
             wheels[measured] += wheels_of.acceleration(position, speed, acceleration)
         outputs = motion.advance(wheels).reshape(n_sides, n_places, len(times))
         # The lead-in is not part of the trip.
-        kept = slice(max(0, -first), None)
+        of_trip = slice(max(0, -first), None)
         place = slice(max(0, first), max(0, first + len(times)))
-        signals[:, 3 - n_places :, place] = outputs[:, :, kept]
+        signals[:, 3 - n_places :, place] = outputs[:, :, of_trip]
         if n_places == 3:
             continue
-        signals[:, 0, place] = wheels[measured][kept]
+        signals[:, 0, place] = wheels[measured][of_trip]
         if cross is not None:
-            angle = wheels[len(system.behind_m) + measured][kept]
+            angle = wheels[len(system.behind_m) + measured][of_trip]
             for side, sign in enumerate((1.0, -1.0)[:n_sides]):
                 signals[side, 0, place] += sign * system.lateral_m[0] * angle
     return signals.reshape(3 * n_sides, n_samples)
