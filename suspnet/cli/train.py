@@ -300,5 +300,6 @@ def _train(
             config=resolved,
             notes={"commissioned": healthy.notes} if healthy else {},
             residual=healthy.residual if healthy else None,
+            swept=folders.swept(),
         ),
     )

@@ -28,6 +28,7 @@ from suspnet.runs.tables import (
     table6_records,
     write_study,
 )
+from suspnet.runs.tensorboard import RunLog
 
 log = logging.getLogger(__name__)
 TRIALS = "trials"
@@ -65,6 +66,8 @@ class Jobs(Callback):
         write_atomically(folder / "jobs.csv", records_csv(with_swept(folder, rows)))
         table = tabulate(rows, "keys", "github", floatfmt=".4g", missingval="-")
         write_atomically(folder / "jobs.md", f"{table}\n")
+        with RunLog(folder) as run_log:
+            run_log.text("jobs", table)
         log.info(
             "rms error in %%, least mean first among jobs with the same outputs; /bound: over the "
             "Cramer-Rao bound\n\n%s\n-> %s/jobs.*",
