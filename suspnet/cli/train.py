@@ -100,6 +100,8 @@ def main(config: DictConfig) -> None:
     if groups:
         read = command("evaluate", f"trips={config.healthy}", f"run={folder}")
         log.info("then run: %s", read)
+    elif not folders.is_job():
+        log.info("then run: %s", command("evaluate", f"run={folder}"))
 
 
 def _run(config: DictConfig, folder: Path, paths: Sequence[ManifestFile] | None = None) -> None:

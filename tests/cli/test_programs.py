@@ -292,7 +292,10 @@ def test_table6_has_a_record_for_each_output_metric_and_model(table6):
     assert (folder / "table6.png").read_bytes().startswith(b"\x89PNG")
     assert first["published"] == 4.37
     assert first["n_train"] == 300
-    assert "| secondary | c_s " in printed
+    assert "| MAPE %, ours (the paper's) | k_p " in printed
+    table = [line for line in printed.splitlines() if line.startswith("|")]
+    assert max(map(len, table)) <= 100
+    assert printed.splitlines()[-1].startswith("compare the jobs with: tensorboard --logdir ")
 
 
 def test_evaluate_takes_a_whole_multirun(table6, tmp_path):
