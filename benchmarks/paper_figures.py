@@ -13,8 +13,9 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import NullFormatter
 
 from suspnet.ground.parameters import PARAMETERS, UNITS
+from suspnet.ground.types import FloatArray
 from suspnet.runs.figures import SUSPENSIONS, SYMBOLS
-from suspnet.runs.plots import BOUND_COLOUR, grid
+from suspnet.runs.plots import BOUND_COLOUR, PEAKS, draw_peaks, grid
 from suspnet.runs.tables import MODEL_TITLES
 from suspnet.vehicle import ResponseGenerator, Vehicle
 
@@ -130,4 +131,14 @@ def sensitivity(runs: Sequence[Mapping[str, Any]]) -> Figure:
         axis.yaxis.set_major_formatter("{x:g}")
     axes[0][0].set_ylabel("MAPE [%]")
     figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
+    return figure
+
+
+def peak_fits(
+    frequencies_hz: FloatArray, curves: FloatArray, features: Mapping[str, float]
+) -> Figure:
+    """Draw the peaks of both curves (Fig. 6)."""
+    figure, axes = grid(1, 2)
+    for axis, suspension, curve in zip(axes[0], PEAKS, curves, strict=True):
+        draw_peaks(axis, frequencies_hz, curve, features, suspension)
     return figure

@@ -100,6 +100,8 @@ def main(config: DictConfig) -> None:
     if groups:
         evaluation = command("evaluate", f"trips={config.healthy}", f"run={folder}")
         log.info("then run: %s", evaluation)
+    elif not folders.is_job():
+        log.info("then run: %s", command("evaluate", f"run={folder}"))
 
 
 def _run(config: DictConfig, folder: Path, paths: Sequence[ManifestFile] | None = None) -> None:
@@ -304,5 +306,6 @@ def _train(
             config=resolved,
             notes={"commissioned": healthy.notes} if healthy else {},
             residual=healthy.residual if healthy else None,
+            swept=folders.swept(),
         ),
     )
