@@ -257,7 +257,7 @@ class Sensor:
             noise = math.hypot(noise, self.precision * full_scale)
         delay = self.clock_offset_s * self.rate_hz
         late = np.arange(len(signal)) - round(delay)
-        recorded = signal[late.clip(0, len(signal) - 1)]
+        recorded: FloatArray = signal[late.clip(0, len(signal) - 1)]
         if delay != round(delay):  # the rest of a sample, by cubic splines
             recorded = shift(recorded, delay - round(delay), mode="nearest")
         recorded += noise * rng.standard_normal(len(signal))
