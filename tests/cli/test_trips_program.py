@@ -46,7 +46,7 @@ def metrics(folder):
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """Return a run as test_both_directions.py trains one by the program."""
+    """Return the run of a model that reads trips."""
     folder = tmp_path_factory.mktemp("run")
     save_model(folder, model_at())
     return folder

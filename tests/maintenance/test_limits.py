@@ -148,12 +148,6 @@ def test_interval_of_a_mean_is_that_written_naively():
         assert judged(values, half, limits).severity == severity
 
 
-def test_one_odd_trip_that_is_not_the_newest_is_no_alarm():
-    odd = 1 - 0.5 * np.eye(30)[:-1]
-    assert not judged(odd, 0.01).severity.any()
-    assert judged(1 - 0.5 * np.eye(30)[-1], 0.01).severity == Severity.ACT
-
-
 # property: the rules one by one
 
 

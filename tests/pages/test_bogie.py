@@ -259,15 +259,6 @@ def test_group_of_before_the_last_maintenance_is_not_shown(results):
     assert bogie_of(State(nothing, DEFAULT_LIMITS)).groups == {}
 
 
-def test_small_trends_share_their_mileages_and_are_of_parts_alone(results):
-    trend = trend_of_state(state_of(results))
-    found = small_trends(replace(trend, panels=trend.panels[:2]))
-    assert list(found) == ["k_p_axle1_left", "c_p_axle1_left"]
-    assert len({figure.axes[0].get_xlim() for figure in found.values()}) == 1
-    assert {figure.axes[0].get_ylabel() for figure in found.values()} == {"% of healthy"}
-    assert small_trends(trend_of_state(state_of(trips(WORN, 2)))) == {}
-
-
 # pages
 
 

@@ -167,7 +167,7 @@ def test_laws_act_on_both_sides_as_on_the_half_vehicle():
         np.testing.assert_allclose(one, expected[sensor // 2], rtol=0, atol=1e-4 * size)
 
 
-@pytest.mark.slow  # test_drawn_estimates_scatter_about_the_expected_ones
+@pytest.mark.slow
 def test_spectra_are_those_of_a_long_trip():
     train, rate_hz = RichTrain.scattered(2), 200.0
     n, rng = 200_000, np.random.default_rng(0)
