@@ -45,8 +45,7 @@ TEMPERATURES = (100.0, 10.0)
 """Factors on the noise of the searches before the last one, used if the effect exceeds ``WIDE``."""
 WIDE = 50.0
 """Largest effect of uncertain numbers, in deviations of the noise, for a single search: above it
-the search may end far off. The effect is about 60 for a commissioned vehicle of rigid bodies, and
-145 for one of all parts: single searches ended in other valleys for 5 of 16 drawn vehicles."""
+the search may end in another valley. Commissioned vehicles exceed it (docs/methods.md)."""
 ROUGH_ITER, ROUGH_TOL = 12, 1e-2
 """Iterations and tolerance of the searches before the last one."""
 LEAST_DECREASE = 0.01

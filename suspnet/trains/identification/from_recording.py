@@ -48,8 +48,8 @@ from suspnet.trains.spectra.wheel_lines import wheel_lines
 from suspnet.vehicle import ResponseGenerator
 
 ROLL_AS_NOISE = 1.2
-"""Factor on half widths where one sensor of a side stands for both: its roll is noise. On four
-trains of the tests 90 % intervals held 88 to 100 % without it, at least 96 % with it."""
+"""Factor on half widths where one sensor of a side stands for both: its roll acts
+as noise that the deviations do not include (docs/methods.md)."""
 
 
 def estimate_trip(model: Model, trip: Recording | Path | str, settings: TripSettings) -> Estimate:

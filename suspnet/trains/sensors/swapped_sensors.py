@@ -4,23 +4,14 @@ For each two sensors, the residuals of `trains.spectra.subspace` at the median v
 with them exchanged, model errors of ``SPREADS[1]`` allowed for. Where an exchange lowers their rms,
 or nearly does, the trip is fitted with the sensors as given and exchanged, and the misfits decide.
 
-Left and right have their place in the residuals by the roll that they show. On two times three
-trains of tests/blind_train.py, plain and with everything at once, with up to twelve worn parts, 30
-to 130 %, no exchange of two of six sensors lowered the rms of 210 correct trips, with the drawing's
-vehicle (at least 1.002 times as large) or the commissioned one (1.01 times). Of 432 trips with two
-sensors swapped, each was found by its own exchange, with the drawing alone; on a train not among
-these the body's two had 11.69 as given and 11.68 exchanged, but misfits of 1.05 and 3.7. With such
-fits none of 70 correct trips of two of these trains was called swapped, and all 144 exchanges were
-found. With the commissioned vehicle a wrong order has 4 to 60 times the misfit of noise (66 trips).
+Left and right have their place in the residuals by the roll that they show. The rms alone finds
+most exchanges. Of two sensors that move almost alike it may hardly change: then the fit decides.
 
 Bogie and axle are found likewise, from one trip whose direction is known: where the drawing's
 vehicle has smaller or nearly the same residuals as measured elsewhere, the trip is fitted with
-those places. Of 36 trips of three trains with everything at once, up to twelve parts worn, both
-ways, the fits of the right place had 1.05 to 1.2 times the misfit of noise, those of the three
-others at least 4.4, but on four trips another place had smaller residuals. Of 204 trips of six
-trains, three of them plain, none was called wrong, and all 216 with another place given were found,
-14 of which the smallest residuals alone missed (benchmarks/swapped_sensors.py). Healthy trips
-that the vehicle does not explain are looked at in the same way.
+those places. Another place may have the smaller residuals at the median vehicle, so the residuals
+only choose which places are fitted. Healthy trips that the vehicle does not explain are looked at
+in the same way. The evidence is in docs/methods.md; benchmarks/swapped_sensors.py repeats it.
 """
 
 from __future__ import annotations
@@ -52,13 +43,14 @@ Item = TypeVar("Item")
 CLEARER = 1.25
 """Factor by which the misfit must fall for two sensors to be called swapped."""
 EXPLAINS = 2.0
-"""Misfit below which an exchange explains a trip. With the wrong bogie given, one had 9 for 17."""
+"""Misfit below which an exchange explains a trip. With the wrong bogie given an exchange may lower
+the misfit, too, but explains nothing."""
 OTHER_BOGIE = 2.0
-"""Likewise for another bogie or axle. Four trips of a leading bogie had 15 and 1.1."""
+"""Factor by which the misfit must fall for another bogie or axle to be reported."""
 NEARLY = 1.2
 """Largest rms residual at the median vehicle, over the smallest of all bogies, axles or orders of
-sensors, with which one is fitted: the right bogie and axle had up to 1.08 on 36 trips of three
-trains with everything at once."""
+sensors, with which one is fitted. It allows for a worn vehicle, whose own place may not have the
+smallest residual."""
 
 OTHER_PLACE: dict[Literal["axle", "centre"], Literal["axle", "centre"]] = {
     "axle": "centre",

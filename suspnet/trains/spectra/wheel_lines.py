@@ -54,8 +54,8 @@ DEVIATION = 1.5
 """Standard deviation of the logarithm of one window's power over the mean of one side: pi / sqrt(6)
 of an exponential variable, times 1.13 for the neighbours and 1.03 for the overlap of windows."""
 LEAK = 0.001
-"""Leakage of a line over the track's power above which a bin is left out: with 0.1 a line of 0.2 mm
-made c_s of the AM96 2 % wrong, with 0.001 it changed nothing."""
+"""Leakage of a line over the track's power above which a bin is left out. A line of 0.2 mm then
+changes no estimate; with 0.1 it would (docs/methods.md)."""
 
 
 @dataclass(frozen=True)
