@@ -74,7 +74,6 @@ def test_mistakes_about_who_may_do_what_are_one_line(refused, path, tmp_path, mo
     store = f"store={path}"
     assert "whose X-User is believed?" in refused(store, "user_header=X-User")
     assert "`engineers` is a list" in refused(store, "engineers=Kim")
-    assert "SUSPNET_API_TOKEN_FILE names the file" in refused(store, "token_file=api.token")
     monkeypatch.setenv(f"{serve.TOKEN_VARIABLE}_FILE", "none.token")
     assert "No such file" in refused(store)
     (tmp_path / "api.token").write_text("short\n")
