@@ -39,11 +39,6 @@ PROBE, STEEPEST_BEND = 0.1, 0.75
 a step (Transtrum and Sethna): beyond it the step is rejected."""
 SMALL_LEFT = 10.0
 """Largest decrease still possible, over `least_decrease`, at which a small step is convergence."""
-AT_BOUND = 1e-8
-"""Distance from a bound, over 1 + |theta|, up to which a parameter is at it. Acceleration leads a step
-that a bound shortens back by a little; a parameter that counted as free there would shorten all
-further steps, and the row would end short of its minimum (Bertsekas, Projected Newton methods,
-1982)."""
 AT_ONCE = 128
 """Smallest number of residuals of the Jacobian per call: a call for 1 takes as long as for 30."""
 
@@ -237,8 +232,7 @@ class Descent:
             jacobian, second = self.derivative(theta, rows), torch.zeros_like(theta)
         slope = (jacobian @ values[:, :, None])[:, :, 0]
         # A parameter pressed against a bound cannot move: it is left out of this row's model.
-        near = AT_BOUND * (1 + theta.abs())
-        pressed = ((theta - low <= near) & (slope > 0)) | ((high - theta <= near) & (slope < 0))
+        pressed = ((theta <= low) & (slope > 0)) | ((theta >= high) & (slope < 0))
         jacobian = jacobian.masked_fill(pressed[:, :, None], 0.0)
         if self.jacobian is not None:
             self.jacobian[rows] = jacobian
@@ -258,6 +252,11 @@ class Descent:
         if self.jacobian is not None:
             # along the step that the bounds leave: beyond them values overflow
             bend, is_slight = self.bend(rows, straight - before, hessian, damping)
+            # a parameter bent away from its bound by a hair would count as free, and shorten all
+            # further steps: the row would end short of its minimum (Bertsekas, SIAM J. Control
+            # Optim. 20, 1982)
+            low, high = self.bounds
+            bend = bend.masked_fill((straight <= low) | (straight >= high), 0.0)
             theta, solved = (straight + bend).clamp(*self.bounds), solved & is_slight
         values = self.residual(theta, rows)
         cost_before = _cost(self.values[rows])
