@@ -39,6 +39,7 @@ from suspnet.trains.history.store import acknowledge_alarms
 from suspnet.trains.maintenance.alarms import Alarm, newest_of
 from suspnet.trains.maintenance.plan import Plan, joined, place_of
 from suspnet.trains.maintenance.state import State
+from suspnet.trains.pages.board import clock
 from suspnet.trains.pages.bogie import (
     bogie_of,
     bogies_shown,
@@ -46,7 +47,7 @@ from suspnet.trains.pages.bogie import (
     visits_of,
 )
 from suspnet.trains.pages.maintenance_figures import plan_calendar
-from suspnet.trains.pages.overview import FleetView, finding
+from suspnet.trains.pages.overview import FleetView, finding, overview_row
 from suspnet.trains.pages.tables import files_read_as, sensor_rows, trip_table
 from suspnet.trains.pages.templates import MARKS
 from suspnet.trains.pages.trend import health_trend, small_trends, trend_of_state
@@ -70,7 +71,7 @@ class Choice(NamedTuple):
 
     def holds(self, state: State) -> bool:
         """Return whether a suspension is chosen."""
-        is_of_train = self.train in ("", state.series.place.train)
+        is_of_train = self.train in ("", state.place.train)
         return is_of_train and self.severity in ("", str(state.severity))
 
 
@@ -92,7 +93,12 @@ def fleet() -> ResponseReturnValue:
         trains=_tiles_of_trains(view, chosen),
         alarms=alarms[:MAX_ROWS],
         n_alarms=len(alarms),
-        rows=[view.rows[i] | {"address": _address(view.names[i])} for i in chosen[:MAX_ROWS]],
+        rows=[
+            view.rows[i]
+            | {"address": _address(view.names[i])}
+            | ({"kept_at": clock(at)} if (at := view.kept_at.get(view.names[i])) else {})
+            for i in chosen[:MAX_ROWS]
+        ],
         n_rows=len(chosen),
         parameters=OUTPUTS,
         plan=view.plan,
@@ -218,7 +224,7 @@ def state() -> ResponseReturnValue:
 
 def _suspension_page(name: str, form: AcknowledgementForm) -> str:
     view, state = _view(), _state(name)
-    index, version = view.keys[name], _suspension_version(view, name)
+    version = _suspension_version(view, name)
     results, stored, trouble = [], [], ""
     seen, bad_rows = view.acknowledged.get(state.key, ()), []
     try:
@@ -247,7 +253,7 @@ def _suspension_page(name: str, form: AcknowledgementForm) -> str:
         bad_rows=list(dict.fromkeys(bad_rows)),
         state=state,
         parameters=[name for name in state.outputs if name != BODY_MASS],
-        row=view.rows[index],
+        row=overview_row(state, view.acknowledged),
         bogie=bogie_of(state, view.plan),
         small=small_figures(state, {part: figure(of=part) for part in _figured(state)}),
         trend=figure(),
@@ -266,7 +272,7 @@ def _suspension_page(name: str, form: AcknowledgementForm) -> str:
 def _page(template: str, version: str, of: str = "", **values: Any) -> str:
     """Return a page; the browser replaces it when `version` changes, never if it is empty."""
     view = _view()
-    trains = sorted({state.series.place.train for state in view.states} - {""}, key=natural)
+    trains = sorted({state.place.train for state in view.states} - {""}, key=natural)
     values |= {"view": view, "refresher": current_refresher(), "train_names": trains}
     return render_template(template, version=version, of=of, **values)
 
@@ -285,7 +291,10 @@ def _state(name: str) -> State:
     view = _view()
     if name not in view.keys:
         abort(404, gettext("There is no such suspension in this history."))
-    return view.states[view.keys[name]]
+    state = current_refresher().board.whole(view.states[view.keys[name]])
+    if state is None:
+        abort(404, gettext("There is no such suspension in this history."))
+    return state
 
 
 def _figured(state: State) -> list[str]:
@@ -329,18 +338,17 @@ def _tiles_of_trains(
     """
 
     def order(index: int) -> tuple[Any, ...]:
-        place = view.states[index].series.place
+        vehicle, place = view.states[index].key
         texts = (place.train, place.car, place.suspension, place.bogie, place.side)
-        return (*map(natural, texts), view.states[index].series.vehicle)
+        return (*map(natural, texts), vehicle)
 
-    is_named = len({state.series.place.suspension for state in view.states}) > 1
+    is_named = len({state.place.suspension for state in view.states}) > 1
     trains: dict[str, dict[str, list[dict[str, str]]]] = {}
     for index in sorted(chosen, key=order):
-        series, row = view.states[index].series, view.rows[index]
-        place = series.place
+        (vehicle, place), row = view.states[index].key, view.rows[index]
         texts = [place.suspension] if is_named or not (place.bogie or place.side) else []
         where = " ".join(SHORT.get(text, text) for text in (place.bogie, place.side) if text)
-        words = " ".join(filter(None, (*texts, spoken(where)))) or series.vehicle
+        words = " ".join(filter(None, (*texts, spoken(where)))) or vehicle
         reason = of(row["parameter"], row["reason"]) if row["parameter"] else row["reason"]
         tile = {"name": view.names[index], "severity": row["severity"]}
         tiles = trains.setdefault(place.train, {}).setdefault(place.car, [])
@@ -354,8 +362,7 @@ def _suspension_version(view: FleetView, name: str) -> str:
     state, row = view.states[view.keys[name]], view.rows[view.keys[name]]
     return _digest(
         {key: value for key, value in row.items() if "life" not in key},
-        (state.alarms, state.series.events, sorted(state.lives)),
-        state.series.trip.tolist()[-1:],
+        (state.alarms, state.events, sorted(state.lives), state.newest_trips[1].tolist()),
         view.acknowledged.get(state.key, ()),
         visits_of(view.plan, state),
         view.is_complete,
