@@ -177,7 +177,7 @@ def cold_start(store: str) -> Row:
         while b'id="suspensions"' not in content:
             with suppress(OSError):
                 content = over_http(port)("/")
-            time.sleep(0.01)
+            time.sleep(0.05)
         seconds = time.perf_counter() - begin
         program.terminate()
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import functools
 import hashlib
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +23,6 @@ from flask import (
 )
 from flask.typing import ResponseReturnValue
 from flask_wtf import FlaskForm
-from matplotlib.figure import Figure
 from wtforms import HiddenField, StringField
 from wtforms.validators import DataRequired, Length, ValidationError
 
@@ -32,12 +32,11 @@ from suspnet.ground.findings import of
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, NAMES, PARAMETERS, Severity
 from suspnet.ground.records import INTERVAL_LEVEL
 from suspnet.ground.wording import natural
-from suspnet.runs.figures import as_svg
 from suspnet.runs.language import N_, current, gettext, spoken
 from suspnet.trains.history import HistoryError
 from suspnet.trains.history.store import acknowledge_alarms
 from suspnet.trains.maintenance.alarms import Alarm, newest_of
-from suspnet.trains.maintenance.plan import Plan, joined, place_of
+from suspnet.trains.maintenance.plan import joined, place_of
 from suspnet.trains.maintenance.state import State
 from suspnet.trains.pages.board import clock
 from suspnet.trains.pages.bogie import (
@@ -46,12 +45,9 @@ from suspnet.trains.pages.bogie import (
     small_figures,
     visits_of,
 )
-from suspnet.trains.pages.maintenance_figures import plan_calendar
 from suspnet.trains.pages.overview import FleetView, finding, overview_row
 from suspnet.trains.pages.tables import files_read_as, sensor_rows, trip_table
 from suspnet.trains.pages.templates import MARKS
-from suspnet.trains.pages.trend import health_trend, small_trends, trend_of_state
-from suspnet.trains.pages.trip_figures import response_figure
 
 MAX_ROWS = 50  # largest number of rows of a table of the fleet; fewer are chosen by train and state
 N_TRIPS = 20  # number of the newest trips in the table of a suspension
@@ -132,7 +128,7 @@ def calendar() -> ResponseReturnValue:
     plan = _view().plan
     if plan is None:
         abort(404)
-    return _svg(_calendar, plan)
+    return _svg("calendar", plan)
 
 
 @pages.get("/suspension/<name>/trend.svg")
@@ -141,7 +137,7 @@ def trend(name: str) -> ResponseReturnValue:
     state, part = _state(name), request.args.get("of", "")
     if part and part not in _figured(state):
         abort(404)
-    return _svg(_trend, state, part)
+    return _svg("trend", state, part)
 
 
 @pages.get("/suspension/<name>/responses.svg")
@@ -151,31 +147,14 @@ def responses(name: str) -> ResponseReturnValue:
         stored = store.responses(*_state(name).key)
     if not stored:
         abort(404)
-    shown = [(curves.mileage_km, curves) for curves in stored]
-    return _svg(lambda _: as_svg(response_figure(shown)))
+    return _svg("responses", stored)
 
 
-def _svg(draw: Callable[..., bytes], *values: Any) -> Response:
+def _svg(figure: str, *values: Any) -> Response:
     """Return a figure; one is drawn at a time, as those that wait may find theirs drawn by then."""
     with _drawing:
+        draw = getattr(import_module("suspnet.depot.web.figures"), figure)
         return Response(draw(*values, current()), mimetype="image/svg+xml")
-
-
-@functools.lru_cache(maxsize=4)
-def _calendar(plan: Plan, language: str) -> bytes:
-    """Return the calendar in the current `language`, an argument for the cache alone."""
-    return as_svg(plan_calendar(plan))
-
-
-@functools.lru_cache(maxsize=64)
-def _trend(state: State, part: str, language: str) -> bytes:
-    """Return the trend of all parameters or one part; `language` is for the cache alone."""
-    return as_svg(_small_trends(state)[part] if part else health_trend(trend_of_state(state)))
-
-
-@functools.lru_cache(maxsize=4)
-def _small_trends(state: State) -> dict[str, Figure]:
-    return small_trends(trend_of_state(state))
 
 
 @pages.get("/suspension/<name>")

@@ -25,6 +25,8 @@ from suspnet.trains.pages.overview import overview_row
 
 DAMAGES = AttributeError, LookupError, OverflowError, RecursionError, TypeError, ValueError
 """Errors that a text raises that is not one of ``kept_text``."""
+OF_KEY = {"vehicle", "where", *PLACE_FROM_TRAIN}
+"""Columns of a row that are those of its suspension, and not kept."""
 Item = TypeVar("Item", Alarm, Event, DrawnPart)
 
 
@@ -52,7 +54,7 @@ def kept_text(state: State, at: datetime) -> str:
     return json.dumps(
         {
             "at": at.isoformat(),
-            "row": _plain(overview_row(state)),
+            "row": _plain({k: v for k, v in overview_row(state).items() if k not in OF_KEY}),
             "bogie": bogie
             and {
                 "parts": [_plain(vars(part)) for part in bogie.parts.values()],
@@ -90,8 +92,8 @@ def _kept_state(key: Key, content: dict[str, Any]) -> KeptState:
     is_text = dict.fromkeys(row, False) | _is_text()  # the columns of parts are numbers
     if any(isinstance(row[name], str) != is_text[name] for name in is_text):
         raise TypeError("a text is a number, or a number a text")
-    row |= {"vehicle": vehicle, "where": str(place)}
-    row |= {name: getattr(place, name) for name in PLACE_FROM_TRAIN}
+    where = {"vehicle": vehicle, "where": str(place)}
+    row = where | {name: getattr(place, name) for name in PLACE_FROM_TRAIN} | row
     if bogie is not None:
         parts = {part.name: part for part in _items(DrawnPart, bogie["parts"])}
         if [*parts] != [*BOGIE_PARTS]:
@@ -129,7 +131,7 @@ def _kept_state(key: Key, content: dict[str, Any]) -> KeptState:
 def _is_text() -> dict[str, bool]:
     """Return the columns of each overview, and which of them are texts."""
     row = overview_row(State(make_series([], {})))
-    return {name: isinstance(value, str) for name, value in row.items()}
+    return {name: isinstance(row[name], str) for name in row.keys() - OF_KEY}
 
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
