@@ -314,8 +314,10 @@ class Refresher:
     @property
     def words(self) -> str:
         """When the store was last read, as text."""
-        if self._looked:
-            return Finding("last-read", clock=clock(self._looked))
+        view = self.board.view  # of the first look, which may take long
+        looked = self._looked or (view.at if view.version else None)
+        if looked:
+            return Finding("last-read", clock=clock(looked))
         return Finding("not-read-yet")
 
     def _run(self) -> None:
