@@ -339,6 +339,8 @@ def alarms_delays(rows: Sequence[Row]) -> str:
 SHOWN_VIEWS = (
     "until something is shown",
     "first view of all",
+    "cold start, page of the fleet",
+    "first view of a served store",
     "page of the fleet",
     "page of a suspension",
     "view after one new trip",

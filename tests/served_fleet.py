@@ -79,5 +79,5 @@ def served(path, every_s=0.3, access=None, **options):
 
 def name_of(view, place):
     """Return the name of a suspension in addresses."""
-    (found,) = [n for n, i in view.keys.items() if view.states[i].series.place == place]
+    (found,) = [n for n, i in view.keys.items() if view.states[i].place == place]
     return found

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import difflib
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +18,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from suspnet.cli.config_files import CONFIGS, read_settings
+from suspnet.ground.parameters import DEFAULT_LIMITS, Limits, read_limits
 from suspnet.ground.settings import check_choice
 
 if TYPE_CHECKING:
@@ -158,13 +159,9 @@ def read_vehicles(folder: str | Path = CONFIGS) -> dict[str, Vehicle]:
         If the folder has no ``vehicle/NAME.yaml``, or a number of one is missing or wrong.
     """
     vehicles: dict[str, Vehicle] = {}
-    for file in sorted((Path(folder) / "vehicle").glob("*.yaml")):
-        _, content = read_settings(file)
-        vehicle = content.get("vehicle", content)  # a road's file also sets a speed and a track
-        if not isinstance(vehicle, dict):
-            raise ValueError(f"{file} is no vehicle: its numbers are missing")
+    for file, numbers in _vehicle_files(folder):
         try:
-            vehicles[file.stem] = _built({str(key): vehicle[key] for key in vehicle}, "vehicle")
+            vehicles[file.stem] = _built(numbers, "vehicle")
         except (TypeError, ValueError) as error:
             raise type(error)(f"{file}: {error}") from error
     if not vehicles:
@@ -172,6 +169,30 @@ def read_vehicles(folder: str | Path = CONFIGS) -> dict[str, Vehicle]:
             f"{folder} holds no vehicles: each is a file vehicle/NAME.yaml in it"
         )
     return vehicles
+
+
+def _vehicle_files(folder: str | Path) -> Iterator[tuple[Path, dict[str, Any]]]:
+    """Yield each file of a vehicle, and its numbers."""
+    for file in sorted((Path(folder) / "vehicle").glob("*.yaml")):
+        _, content = read_settings(file)
+        vehicle = content.get("vehicle", content)  # a road's file also sets a speed and a track
+        if not isinstance(vehicle, dict):
+            raise ValueError(f"{file} is no vehicle: its numbers are missing")
+        yield file, {str(key): vehicle[key] for key in vehicle}
+
+
+def _limits_of_vehicles(folder: Path) -> dict[str, dict[str, Limits]]:
+    """Return ``Vehicle.known_limits`` by name of vehicle; torch is not imported, which is slow."""
+    limits = {}
+    for file, numbers in _vehicle_files(folder):
+        try:
+            name = numbers["name"]
+            limits[name] = read_limits(
+                numbers.get("limits") or {}, DEFAULT_LIMITS, f"the file of vehicle {name}"
+            )
+        except (LookupError, TypeError, ValueError) as error:
+            raise ValueError(f"{file}: {error}") from error
+    return limits
 
 
 def vehicles_with(folder: Path | None) -> dict[str, Vehicle]:
@@ -185,9 +206,12 @@ def board_settings(config: DictConfig, alarms: DictConfig) -> BoardSettings:
 
     sources = (Path(source.path) for source in HydraConfig.get().runtime.config_sources)
     folders = (folder for folder in sources if (folder / "vehicle").is_dir())
-    vehicles = [vehicle for folder in folders for vehicle in read_vehicles(folder).values()]
     return BoardSettings(
-        vehicles={vehicle.name: vehicle.known_limits for vehicle in vehicles},
+        vehicles={
+            name: limits
+            for folder in folders
+            for name, limits in _limits_of_vehicles(folder).items()
+        },
         limits=plain(alarms.limits),
         changes=build(alarms, "changes"),
         plan=build(config, "plan"),

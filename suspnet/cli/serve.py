@@ -11,6 +11,7 @@ import socket
 import sys
 import threading
 import webbrowser
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
@@ -67,10 +68,13 @@ def main(config: DictConfig) -> None:
     ServeSettings(config.port, config.refresh_s, config.threads)
     if config.language is not None:
         check_language(config.language)
-    _check_store(config.store)
-    _check_address(config)
-    _prefix(config.url_prefix)
-    _access(config)
+    # a large store takes as long to check as the imports of the others
+    with ThreadPoolExecutor(1) as pool:
+        checked = pool.submit(_check_store, config.store)
+        _check_address(config)
+        _prefix(config.url_prefix)
+        _access(config)
+        checked.result()
     serve(Board(config.store, board_settings(config, config)), config)
 
 

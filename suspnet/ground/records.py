@@ -20,7 +20,7 @@ from suspnet.ground.parameters import (
     PARAMETERS,
     SI_COLUMNS,
 )
-from suspnet.ground.types import ComplexArray, FloatArray
+from suspnet.ground.types import BoolArray, ComplexArray, FloatArray
 
 HIGHEST_KM = 2e7
 """Mileage that no rail vehicle reaches, [km]: 40 years of 500 000 km, as fast trains run."""
@@ -142,6 +142,24 @@ class TripCurves:
     overview_high: FloatArray
     overview_mean: FloatArray
     overview_speed: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Overview:
+    """Range and mean of the signals of a recording in windows of equal length.
+
+    `times_s`: (n_windows,), start of each window since the first sample. `low`, `high`, `mean`:
+    (3, n_windows), [m/s2], of axle box, bogie and car body. `speed_m_per_s`: (n_windows,), the
+    mean; NaN where partly unknown. `faulty`: (n_windows,), whether a sample is unusable; None if
+    unknown.
+    """
+
+    times_s: FloatArray
+    low: FloatArray
+    high: FloatArray
+    mean: FloatArray
+    speed_m_per_s: FloatArray
+    faulty: BoolArray | None = None
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from trip_records import fleet, trip
 from suspnet.ground.parameters import BOGIE_PARTS, Cause, Severity
 from suspnet.ground.records import VALUES, Place, Quality, TripResult
 from suspnet.trains.history import History, HistoryError
+from suspnet.trains.history.overviews import StoredOverview
 from suspnet.trains.history.schema import SCHEMA, suspensions, trips
 from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm
 from suspnet.trains.maintenance.series import Event
@@ -35,6 +36,7 @@ NEW_COLUMNS = {
     6: ["worn", *(values.format(part) for values in VALUES.values() for part in BOGIE_PARTS)],
     7: [],
     8: [],
+    9: [],
 }
 """Columns of trips that a store of this version lacks and the next one has."""
 SEEN = Acknowledgement("k_p", Cause.CHANGE, Severity.NOTICE, 4e4, "Kim", "2026-11-22T13:00:00Z")
@@ -218,6 +220,7 @@ def test_a_store_of_an_older_version_is_brought_to_this_one(version, place, by_h
         store.write([before])
     for column in (name for old in range(version, SCHEMA) for name in NEW_COLUMNS[old]):
         by_hand(sqlalchemy.text(f"ALTER TABLE trips DROP COLUMN {column}"))
+    by_hand(sqlalchemy.text("DROP TABLE overviews"))
     by_hand(sqlalchemy.text(f"UPDATE suspnet_version SET schema = {version}"))
     # a text of its time, and a finding of a kind that is gone
     gone = {"kind": "no-part-named", "values": {"words": "short"}, "text": "no part: short"}
@@ -240,6 +243,9 @@ def test_a_store_of_an_older_version_is_brought_to_this_one(version, place, by_h
     with History(place) as store:
         store.write([after])
         assert same(store.read(before.vehicle, before.place)[0], after)
+        overview = {(before.vehicle, before.place): StoredOverview(1, "settings", "{}")}
+        store.keep_overviews(overview)
+        assert store.overviews(overview) == overview
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 """Degradation models: covariances, evidence and present state against naive evaluations."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from drifting_series import history
@@ -51,12 +53,10 @@ def test_brownian_motion_has_the_covariance_of_its_increments(integrated):
 def test_evidence_and_present_state_are_those_of_the_joint_gaussian(model):
     """Level, rate, Brownian motion and noise are one Gaussian vector, conditioned naively."""
     t, values, sigma = history(60, rate=-0.05)
-    blocks, noise = (
-        average(t, values, sigma),
-        estimate_noise(t, np.log(values), sigma, np.append(0, DIFFUSIONS)),
-    )
+    blocks, noise_of = average(t, values, sigma), partial(estimate_noise, t, np.log(values), sigma)
+    noise = noise_of(np.append(0, DIFFUSIONS))
     prior = WearPrior(DEFAULT_PRIOR.models, np.ones(1), np.array([0.04]))
-    fits = fit_models(blocks, noise, prior)
+    fits = fit_models(blocks, noise_of, prior)
     assert len(fits) == 6
     fit = fits[model]
     rng = np.random.default_rng(3)

@@ -85,7 +85,7 @@ def suspensions(view: FleetView, query: models.OfFleet) -> Iterable[Row]:
     return (
         _suspension(view, i)
         for i, state in enumerate(view.states)
-        if query.train in (None, state.series.place.train)
+        if query.train in (None, state.place.train)
         and query.severity in (None, str(state.severity))
     )
 
@@ -93,12 +93,10 @@ def suspensions(view: FleetView, query: models.OfFleet) -> Iterable[Row]:
 @_answers("/suspensions/<id>/parts", models.Paged, models.PartAnswer)
 def parts(view: FleetView, query: models.Paged, index: int) -> Iterable[Row]:
     """List the parameters of a suspension, or the parts of its bogie where each is read."""
-    state = view.states[index]
-    return (
-        _part(state, assessment)
-        for assessment in state.assessments
-        if assessment.parameter != BODY_MASS
-    )
+    state = current_refresher().board.whole(view.states[index])
+    if state is None:
+        abort(404, "There is no such suspension in this history.")
+    return (_part(state, own) for own in state.assessments if own.parameter != BODY_MASS)
 
 
 @_answers("/suspensions/<id>/trips", models.Paged, models.TripAnswer)
@@ -114,8 +112,8 @@ def alarms(view: FleetView, query: models.OfAlarms) -> Iterable[Row]:
     rows = [
         _alarm(view, i, alarm)
         for i, state in enumerate(view.states)
-        if query.train in (None, state.series.place.train)
-        for alarm in state.watched.alarms
+        if query.train in (None, state.place.train)
+        for alarm in state.all_alarms
         if query.severity in (None, str(alarm.severity))
         and query.active in (None, str(alarm.is_open).lower())
     ]

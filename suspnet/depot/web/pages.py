@@ -5,7 +5,8 @@ from __future__ import annotations
 import functools
 import hashlib
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +23,6 @@ from flask import (
 )
 from flask.typing import ResponseReturnValue
 from flask_wtf import FlaskForm
-from matplotlib.figure import Figure
 from wtforms import HiddenField, StringField
 from wtforms.validators import DataRequired, Length, ValidationError
 
@@ -32,25 +32,22 @@ from suspnet.ground.findings import of
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, NAMES, PARAMETERS, Severity
 from suspnet.ground.records import INTERVAL_LEVEL
 from suspnet.ground.wording import natural
-from suspnet.runs.figures import as_svg
 from suspnet.runs.language import N_, current, gettext, spoken
 from suspnet.trains.history import HistoryError
 from suspnet.trains.history.store import acknowledge_alarms
 from suspnet.trains.maintenance.alarms import Alarm, newest_of
-from suspnet.trains.maintenance.plan import Plan, joined, place_of
+from suspnet.trains.maintenance.plan import joined, place_of
 from suspnet.trains.maintenance.state import State
+from suspnet.trains.pages.board import clock
 from suspnet.trains.pages.bogie import (
     bogie_of,
     bogies_shown,
     small_figures,
     visits_of,
 )
-from suspnet.trains.pages.maintenance_figures import plan_calendar
-from suspnet.trains.pages.overview import FleetView, finding
+from suspnet.trains.pages.overview import FleetView, finding, overview_row
 from suspnet.trains.pages.tables import files_read_as, sensor_rows, trip_table
 from suspnet.trains.pages.templates import MARKS
-from suspnet.trains.pages.trend import health_trend, small_trends, trend_of_state
-from suspnet.trains.pages.trip_figures import response_figure
 
 MAX_ROWS = 50  # largest number of rows of a table of the fleet; fewer are chosen by train and state
 N_TRIPS = 20  # number of the newest trips in the table of a suspension
@@ -70,7 +67,7 @@ class Choice(NamedTuple):
 
     def holds(self, state: State) -> bool:
         """Return whether a suspension is chosen."""
-        is_of_train = self.train in ("", state.series.place.train)
+        is_of_train = self.train in ("", state.place.train)
         return is_of_train and self.severity in ("", str(state.severity))
 
 
@@ -92,7 +89,12 @@ def fleet() -> ResponseReturnValue:
         trains=_tiles_of_trains(view, chosen),
         alarms=alarms[:MAX_ROWS],
         n_alarms=len(alarms),
-        rows=[view.rows[i] | {"address": _address(view.names[i])} for i in chosen[:MAX_ROWS]],
+        rows=[
+            view.rows[i]
+            | {"address": _address(view.names[i])}
+            | ({"kept_at": clock(at)} if (at := view.kept_at.get(view.names[i])) else {})
+            for i in chosen[:MAX_ROWS]
+        ],
         n_rows=len(chosen),
         parameters=OUTPUTS,
         plan=view.plan,
@@ -126,7 +128,7 @@ def calendar() -> ResponseReturnValue:
     plan = _view().plan
     if plan is None:
         abort(404)
-    return _svg(_calendar, plan)
+    return _svg("calendar", plan)
 
 
 @pages.get("/suspension/<name>/trend.svg")
@@ -135,7 +137,7 @@ def trend(name: str) -> ResponseReturnValue:
     state, part = _state(name), request.args.get("of", "")
     if part and part not in _figured(state):
         abort(404)
-    return _svg(_trend, state, part)
+    return _svg("trend", state, part)
 
 
 @pages.get("/suspension/<name>/responses.svg")
@@ -145,31 +147,14 @@ def responses(name: str) -> ResponseReturnValue:
         stored = store.responses(*_state(name).key)
     if not stored:
         abort(404)
-    shown = [(curves.mileage_km, curves) for curves in stored]
-    return _svg(lambda _: as_svg(response_figure(shown)))
+    return _svg("responses", stored)
 
 
-def _svg(draw: Callable[..., bytes], *values: Any) -> Response:
+def _svg(figure: str, *values: Any) -> Response:
     """Return a figure; one is drawn at a time, as those that wait may find theirs drawn by then."""
     with _drawing:
+        draw = getattr(import_module("suspnet.depot.web.figures"), figure)
         return Response(draw(*values, current()), mimetype="image/svg+xml")
-
-
-@functools.lru_cache(maxsize=4)
-def _calendar(plan: Plan, language: str) -> bytes:
-    """Return the calendar in the current `language`, an argument for the cache alone."""
-    return as_svg(plan_calendar(plan))
-
-
-@functools.lru_cache(maxsize=64)
-def _trend(state: State, part: str, language: str) -> bytes:
-    """Return the trend of all parameters or one part; `language` is for the cache alone."""
-    return as_svg(_small_trends(state)[part] if part else health_trend(trend_of_state(state)))
-
-
-@functools.lru_cache(maxsize=4)
-def _small_trends(state: State) -> dict[str, Figure]:
-    return small_trends(trend_of_state(state))
 
 
 @pages.get("/suspension/<name>")
@@ -218,7 +203,7 @@ def state() -> ResponseReturnValue:
 
 def _suspension_page(name: str, form: AcknowledgementForm) -> str:
     view, state = _view(), _state(name)
-    index, version = view.keys[name], _suspension_version(view, name)
+    version = _suspension_version(view, name)
     results, stored, trouble = [], [], ""
     seen, bad_rows = view.acknowledged.get(state.key, ()), []
     try:
@@ -247,7 +232,7 @@ def _suspension_page(name: str, form: AcknowledgementForm) -> str:
         bad_rows=list(dict.fromkeys(bad_rows)),
         state=state,
         parameters=[name for name in state.outputs if name != BODY_MASS],
-        row=view.rows[index],
+        row=overview_row(state, view.acknowledged),
         bogie=bogie_of(state, view.plan),
         small=small_figures(state, {part: figure(of=part) for part in _figured(state)}),
         trend=figure(),
@@ -266,7 +251,7 @@ def _suspension_page(name: str, form: AcknowledgementForm) -> str:
 def _page(template: str, version: str, of: str = "", **values: Any) -> str:
     """Return a page; the browser replaces it when `version` changes, never if it is empty."""
     view = _view()
-    trains = sorted({state.series.place.train for state in view.states} - {""}, key=natural)
+    trains = sorted({state.place.train for state in view.states} - {""}, key=natural)
     values |= {"view": view, "refresher": current_refresher(), "train_names": trains}
     return render_template(template, version=version, of=of, **values)
 
@@ -285,7 +270,10 @@ def _state(name: str) -> State:
     view = _view()
     if name not in view.keys:
         abort(404, gettext("There is no such suspension in this history."))
-    return view.states[view.keys[name]]
+    state = current_refresher().board.whole(view.states[view.keys[name]])
+    if state is None:
+        abort(404, gettext("There is no such suspension in this history."))
+    return state
 
 
 def _figured(state: State) -> list[str]:
@@ -329,18 +317,17 @@ def _tiles_of_trains(
     """
 
     def order(index: int) -> tuple[Any, ...]:
-        place = view.states[index].series.place
+        vehicle, place = view.states[index].key
         texts = (place.train, place.car, place.suspension, place.bogie, place.side)
-        return (*map(natural, texts), view.states[index].series.vehicle)
+        return (*map(natural, texts), vehicle)
 
-    is_named = len({state.series.place.suspension for state in view.states}) > 1
+    is_named = len({state.place.suspension for state in view.states}) > 1
     trains: dict[str, dict[str, list[dict[str, str]]]] = {}
     for index in sorted(chosen, key=order):
-        series, row = view.states[index].series, view.rows[index]
-        place = series.place
+        (vehicle, place), row = view.states[index].key, view.rows[index]
         texts = [place.suspension] if is_named or not (place.bogie or place.side) else []
         where = " ".join(SHORT.get(text, text) for text in (place.bogie, place.side) if text)
-        words = " ".join(filter(None, (*texts, spoken(where)))) or series.vehicle
+        words = " ".join(filter(None, (*texts, spoken(where)))) or vehicle
         reason = of(row["parameter"], row["reason"]) if row["parameter"] else row["reason"]
         tile = {"name": view.names[index], "severity": row["severity"]}
         tiles = trains.setdefault(place.train, {}).setdefault(place.car, [])
@@ -354,8 +341,7 @@ def _suspension_version(view: FleetView, name: str) -> str:
     state, row = view.states[view.keys[name]], view.rows[view.keys[name]]
     return _digest(
         {key: value for key, value in row.items() if "life" not in key},
-        (state.alarms, state.series.events, sorted(state.lives)),
-        state.series.trip.tolist()[-1:],
+        (state.alarms, state.events, sorted(state.lives), state.newest_trips[1].tolist()),
         view.acknowledged.get(state.key, ()),
         visits_of(view.plan, state),
         view.is_complete,

@@ -34,4 +34,4 @@ def opened_store(*, to_write: bool = False) -> History:
 
 def stored_trips(store: History, state: State) -> list[TripResult]:
     """Return the trips of a suspension, with the intervals of its series."""
-    return with_widened(store.read(*state.key), state.series.events)
+    return with_widened(store.read(*state.key), state.events)

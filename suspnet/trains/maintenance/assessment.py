@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtr
 
 from suspnet.ground.findings import Finding, kind_is, percent, together
 from suspnet.ground.parameters import BODY_MASS, Cause, Limits, Severity
@@ -105,7 +105,7 @@ def step_words(mileage_km: FloatArray, values: FloatArray, spread_percent: float
     t = math.sqrt(between.max() / within * (n - 2))
     percent = 100 * (float(np.median(values[at:]) / np.median(values[:at])) - 1)
     is_large = abs(percent) > max(MULTIPLE * spread_percent, LEAST_PERCENT)
-    if not is_large or 2 * stats.t.sf(t, n - 2) * len(splits) >= LEVEL:
+    if not is_large or 2 * stdtr(n - 2, -t) * len(splits) >= LEVEL:
         return ""
     kind, about = "fell" if percent < 0 else "rose", round((km[at - 1] + km[at]) / 2, -3)
     return Finding(kind, percent=abs(percent), km=about)

@@ -15,7 +15,9 @@ over which everything else is summed.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 
@@ -85,29 +87,37 @@ DEFAULT_PRIOR = WearPrior(
 deviations of 3, 10 or 30 % in 100,000 km, with either sign; slow rates are more likely."""
 
 
-def fit_models(blocks: Blocks, noise: Noise, prior: WearPrior = DEFAULT_PRIOR) -> list[Fit]:
+def fit_models(
+    blocks: Blocks, noise_of: Callable[[FloatArray], Noise], prior: WearPrior = DEFAULT_PRIOR
+) -> list[Fit]:
     """Return the fit of each of ``MODELS``, or of the first four if a change is unlikely.
 
-    `noise` has one entry for diffusion 0 and one for each of ``DIFFUSIONS``.
+    `noise_of` returns the noise for diffusions like ``DIFFUSIONS``.
     """
-    covariance = noise_covariance(blocks, noise.variance, noise.correlation)
+
+    def covariance_for(diffusions: FloatArray) -> Covariance:
+        noise = noise_of(diffusions)
+        return Covariance(noise_covariance(blocks, noise.variance, noise.correlation)[:, None])
+
+    covariance = covariance_for(np.zeros(1))  # factored once for all models without motion
     # a constant value is a rate whose prior is 0
     constant = WearPrior(prior.models, np.ones(1), np.full(1, 1e-9))
     hinges = Hinges(np.zeros((1, 1)), np.ones((1, 1)), np.zeros((1, 1)))
-    fits = [Fit(blocks, covariance[:1], hinges, constant, np.zeros(1, dtype=np.int64))]
+    fits = [Fit(blocks, covariance, hinges, constant, np.zeros(1, dtype=np.int64))]
     for row in (LINEAR, EXPONENTIAL, STEP):
         onsets = _onsets(blocks.last)
-        fit = _straight(blocks, covariance[:1], prior, row, onsets)
+        fit = _straight(blocks, covariance, prior, row, onsets)
         for _ in range(ONSET_PASSES):
             best = int(fit.log_weight.max(axis=(0, 1, 3)).argmax())
             low, high = onsets[max(best - 1, 0)], onsets[min(best + 1, onsets.size - 1)]
             onsets = np.unique(np.concatenate([onsets, np.linspace(low, high, 17)]))
-            fit = _straight(blocks, covariance[:1], prior, row, onsets)
+            fit = _straight(blocks, covariance, prior, row, onsets)
         fits.append(fit)
     # Brownian motion costs most of the time and only matters where there is a trend
     if shares(fits)[0][0] <= 1 - DETAILED:
-        fits.append(_wandering(blocks, covariance[1:], prior, Motion(DIFFUSIONS**2, False)))
-        fits.append(_wandering(blocks, covariance[:1], prior, Motion(RATE_CHANGES**2, True)))
+        of_diffusions = covariance_for(DIFFUSIONS)
+        fits.append(_wandering(blocks, of_diffusions, prior, Motion(DIFFUSIONS**2, False)))
+        fits.append(_wandering(blocks, covariance, prior, Motion(RATE_CHANGES**2, True)))
     return fits
 
 
@@ -116,7 +126,7 @@ def _onsets(last: float) -> FloatArray:
 
 
 def _straight(
-    blocks: Blocks, covariance: FloatArray, prior: WearPrior, row: int, onsets: FloatArray
+    blocks: Blocks, covariance: Covariance, prior: WearPrior, row: int, onsets: FloatArray
 ) -> Fit:
     log_measure = _log_measure(onsets, 0.0 if row == STEP else AT_ONCE)[None]
     hinges = Hinges(onsets[None], np.full((1, onsets.size), float(row != STEP)), log_measure)
@@ -124,7 +134,7 @@ def _straight(
     return Fit(blocks, covariance, hinges, prior, np.array([row]), linear=linear)
 
 
-def _wandering(blocks: Blocks, covariance: FloatArray, prior: WearPrior, motion: Motion) -> Fit:
+def _wandering(blocks: Blocks, covariance: Covariance, prior: WearPrior, motion: Motion) -> Fit:
     powers = POWERS if motion.integrated else np.ones(1)
     onsets = _onsets(blocks.last)
     log_measure = np.repeat(_log_measure(onsets), powers.size) - np.log(powers.size)
@@ -214,6 +224,36 @@ def powered(since: FloatArray, power: FloatArray) -> FloatArray:
     return np.asarray(POWER_UNITS * (since / POWER_UNITS) ** power)
 
 
+class Covariance:
+    """Covariances of blocks, `values` of shape (n_motions or 1, n_starts or 1, n_blocks, n_blocks).
+
+    Those that averaging has made indefinite are repaired.
+    """
+
+    def __init__(self, values: FloatArray) -> None:
+        self.values = values
+
+    @cached_property
+    def _definite(self) -> tuple[FloatArray, FloatArray]:
+        """The repaired covariances and their Cholesky factors."""
+        try:
+            return self.values, np.asarray(np.linalg.cholesky(self.values))
+        except np.linalg.LinAlgError:
+            values = positive_definite(self.values)
+            return values, np.asarray(np.linalg.cholesky(values))
+
+    @cached_property
+    def log_det(self) -> FloatArray:
+        """Logarithm of the determinant of each, (n_motions or 1, n_starts or 1)."""
+        diagonal = np.diagonal(self._definite[1], axis1=-2, axis2=-1)
+        return np.asarray(2 * np.log(diagonal).sum(axis=-1))
+
+    @cached_property
+    def inverse(self) -> FloatArray:
+        """Inverse of each, of the shape of `values`."""
+        return np.asarray(np.linalg.inv(self._definite[0]))
+
+
 class Fit:
     """Posterior of one model at its nodes: motions x starts x onsets x components of the rate.
 
@@ -222,9 +262,9 @@ class Fit:
     ([1]_, sec. 2.7). `linear` models the value, else its logarithm; the linear scale is divided by
     the value, so that noise is relative to the value in both.
 
-    `covariance`, (n_motions or 1, n_blocks, n_blocks), is that of the noise; `rows`, (n_motions,),
-    are rows of ``WearPrior.models``. `log_weight`, (n_motions, n_starts, n_onsets, n_components),
-    is the logarithm of prior times evidence of each node.
+    `covariance`, (n_motions or 1, 1, n_blocks, n_blocks), is that of the noise. `rows`,
+    (n_motions,), are rows of ``WearPrior.models``. `log_weight`, (n_motions, n_starts, n_onsets,
+    n_components), is the logarithm of prior times evidence of each node.
 
     References
     ----------
@@ -234,7 +274,7 @@ class Fit:
     def __init__(
         self,
         blocks: Blocks,
-        covariance: FloatArray,
+        covariance: Covariance,
         hinges: Hinges,
         prior: WearPrior,
         rows: IntArray,
@@ -250,22 +290,16 @@ class Fit:
         start = hinges.onsets[:, 0]
         self._with_last = np.zeros((1, start.size, scale.size, 3))
         self._own = np.zeros((1, start.size, 3, 3))
-        total = covariance[:, None]
+        total = covariance
         if motion is not None:  # Brownian motion adds to the noise and to the state at the end
             since = np.maximum(blocks.t - start[:, None], 0)
             variances = motion.variances[:, None, None, None]
             shape = motion.covariance(since, blocks.length) / np.outer(scale, scale)
-            total = total + variances * shape
-            with_last, of_last = motion.with_last(since, blocks.last - start)
+            total = Covariance(total.values + variances * shape)
+            with_last, own = motion.with_last(since, blocks.last - start)
             self._with_last = variances * with_last / scale[:, None]
-            self._own = variances * of_last
-        try:  # a covariance that averaging has made indefinite is repaired
-            factor = np.linalg.cholesky(total)
-        except np.linalg.LinAlgError:
-            total = positive_definite(total)
-            factor = np.linalg.cholesky(total)
-        log_det = 2 * np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
-        self._inverse = np.linalg.inv(total)
+            self._own = variances * own
+        self._inverse, log_det = total.inverse, total.log_det
         # sums of the normal equations of the two unknowns level and rate
         of_unit, of_values = (self._inverse @ x for x in (self._unit, self._values))
         of_course = self._course @ self._inverse  # (motions, starts, onsets, blocks)

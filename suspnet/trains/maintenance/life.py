@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property, partial
 from statistics import NormalDist
 
 import numpy as np
@@ -66,7 +68,17 @@ class Life:
     def quantile_km(self, q: float) -> float:
         """Return the mileage within which the limit is passed with probability `q`."""
         check_number("q", q, low=0, high=1)
-        return float(np.quantile(self.samples_km, q, method="inverted_cdf"))
+        # the method "inverted_cdf" of np.quantile, without sorting each time
+        return float(self._ascending_km[max(math.ceil(self.samples_km.size * q - 1), 0)])
+
+    @property
+    def finite_km(self) -> FloatArray:
+        """The finite samples, ascending."""
+        return self._ascending_km[: np.isfinite(self.samples_km).sum()]
+
+    @cached_property
+    def _ascending_km(self) -> FloatArray:
+        return np.sort(self.samples_km)
 
     def interval_km(self, level: float = SHOWN_LEVEL) -> tuple[float, float]:
         """Return the central interval in which the limit is passed with probability `level`."""
@@ -141,8 +153,7 @@ def predict_life(
         usual = np.median(sigma[is_known])
     sigma = np.maximum(np.where(is_known, sigma, usual), max(LEAST_NOISE, BEST_TRIP * usual))
     value = clip_outliers(value)
-    noise = estimate_noise(t, np.log(value), sigma, np.append(0.0, DIFFUSIONS))
-    fits = fit_models(average(t, value, sigma), noise)
+    fits = fit_models(average(t, value, sigma), partial(estimate_noise, t, np.log(value), sigma))
     # draw nodes of all models by their probability, then each one's state and passage
     rng = np.random.default_rng(seed)
     weights = shares(fits)

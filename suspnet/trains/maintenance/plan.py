@@ -25,7 +25,7 @@ from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import thousands
 from suspnet.trains.maintenance.life import SHOWN_LEVEL
-from suspnet.trains.maintenance.state import State
+from suspnet.trains.maintenance.state import WINDOW_DAYS, State
 
 URGENCIES = UNKNOWN, NOW, SOON, LATER = "unknown", "now", "soon", "later"
 """Urgencies of jobs: remaining life unknown, visit on the first possible day, visit to be decided
@@ -35,9 +35,6 @@ REPLACE, INSPECT = "replace", "inspect"
 """What is done with a part."""
 NEVER = np.array([np.inf])
 """Samples of the remaining life of a part whose life is unknown."""
-WINDOW_DAYS = 180
-"""Number of latest days whose trips determine the mileage per day of a train; if its newest trip is
-older, its wear and mileage count as unknown."""
 LEAST_DAYS = 14
 """Fewest days that the trips must span to determine the mileage per day of a train."""
 REACH_KM = 50_000.0
@@ -419,12 +416,11 @@ def trains_of(states: Sequence[State], today: date, default_km_per_day: float) -
     """
     of_train = defaultdict(list)
     for state in states:
-        of_train[place_of(state)[0]].append(state.series)
+        of_train[place_of(state)[0]].append(state.newest_trips)
     trains = []
     for name, several in sorted(of_train.items()):
-        km = np.concatenate([series.mileage_km for series in several])
-        starts = np.concatenate([series.start for series in several])
-        order = np.argsort(km, kind="stable")[: int(np.isfinite(km).sum())]
+        starts, km = (np.concatenate(columns) for columns in zip(*several, strict=True))
+        order = np.argsort(km, kind="stable")
         if not len(order):
             trains.append(Train(name, 0.0, today, default_km_per_day))
             continue
@@ -443,7 +439,7 @@ def place_of(state: State) -> tuple[str, str, str]:
     A train that is not named is the vehicle and the place without bogie and side: both bogies of a
     car are in one train.
     """
-    place, vehicle = state.series.place, state.series.vehicle
+    vehicle, place = state.key
     car = replace(place, bogie="", side="")
     train = place.train or (f"{vehicle}: {car}" if any(astuple(car)) else vehicle)
     where = (place.suspension, place.bogie and f"{place.bogie} bogie", place.side)

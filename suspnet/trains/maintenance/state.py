@@ -6,14 +6,17 @@ import math
 import time
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from suspnet.ground.findings import Finding, parts_of, restored
 from suspnet.ground.parameters import BODY_MASS, DEFAULT_LIMITS, Limits, Severity, kind_of
-from suspnet.ground.records import Key
-from suspnet.ground.types import FloatArray
+from suspnet.ground.records import Key, Place
+from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.trains.maintenance.alarms import Alarm, Watched, watch
 from suspnet.trains.maintenance.assessment import (
     ONE_FLAGGED,
@@ -30,8 +33,11 @@ from suspnet.trains.maintenance.change import ChangeSettings
 from suspnet.trains.maintenance.judge import LastTrips, judge_last, last_trips
 from suspnet.trains.maintenance.life import MIN_TRIPS, Life, predict_life
 from suspnet.trains.maintenance.sensors import IN_A_ROW
-from suspnet.trains.maintenance.series import N_LAST, Series
+from suspnet.trains.maintenance.series import N_LAST, Event, Series
 
+WINDOW_DAYS = 180
+"""Number of latest days whose trips determine the mileage per day of a train; if its newest trip is
+older, its wear and mileage count as unknown."""
 SENSOR_FAILED = "a sensor has failed, see its alarm"
 """Doubt about limits while a sensor misleads the newest trips."""
 
@@ -50,10 +56,20 @@ class State:
     watched: Watched = field(default_factory=Watched)
     lives: dict[str, Life] = field(default_factory=dict)
 
-    @property
+    @cached_property
     def key(self) -> Key:
         """Vehicle and place."""
         return self.series.key
+
+    @property
+    def place(self) -> Place:
+        """Place of the suspension in its fleet."""
+        return self.key[1]
+
+    @cached_property
+    def events(self) -> tuple[Event, ...]:
+        """Maintenance by mileage."""
+        return self.series.events
 
     @cached_property
     def recent(self) -> Series:
@@ -66,15 +82,20 @@ class State:
         newest = self.series.misled[-IN_A_ROW:]
         return SENSOR_FAILED if len(newest) == IN_A_ROW and newest.all() else ""
 
-    @property
+    @cached_property
     def outputs(self) -> tuple[str, ...]:
         """Parameters that are estimated."""
         return self.series.outputs
 
     @cached_property
+    def all_alarms(self) -> list[Alarm]:
+        """Active and cleared alarms by the mileage where they start."""
+        return self.watched.alarms
+
+    @cached_property
     def alarms(self) -> list[Alarm]:
         """Active alarms, the most severe first."""
-        active = [alarm for alarm in self.watched.alarms if alarm.is_open]
+        active = [alarm for alarm in self.all_alarms if alarm.is_open]
         return sorted(active, key=lambda alarm: (-alarm.severity, alarm.begin_km))
 
     def alarms_of(self, name: str) -> list[Alarm]:
@@ -150,6 +171,20 @@ class State:
         return float(np.nanmax(km)) if np.isfinite(km).any() else np.nan
 
     @cached_property
+    def newest_trips(self) -> tuple[NDArray[np.datetime64], FloatArray]:
+        """Starts and mileages [km] of the trips that determine mileage and mileage per day.
+
+        They are the trips of the last ``WINDOW_DAYS`` and those of the largest mileage.
+        """
+        km, start = self.series.mileage_km, self.series.start.astype("datetime64[D]")
+        has_mileage = np.isfinite(km)
+        is_dated = has_mileage & ~np.isnat(start)
+        is_used: BoolArray = has_mileage & (km == np.max(km, where=has_mileage, initial=0.0))
+        if is_dated.any():
+            is_used |= is_dated & (start >= start[is_dated].max() - WINDOW_DAYS)
+        return self.series.start[is_used], km[is_used]
+
+    @cached_property
     def _last(self) -> dict[str, LastTrips]:
         return {name: last_trips(self.recent, name) for name in self.series.estimates}
 
@@ -215,9 +250,26 @@ def by_urgency(states: Iterable[State]) -> list[State]:
 
     def order(state: State) -> tuple[int, float, str, str]:
         life = state.shortest[1].quantile_km(0.1) if state.shortest else np.inf
-        return -state.severity, life, state.series.vehicle, str(state.series.place)
+        vehicle, place = state.key
+        return -state.severity, life, vehicle, str(place)
 
     return sorted(states, key=order)
+
+
+class KeptState(State):
+    """What overview and plan show of a suspension, restored from a store without its trips.
+
+    `at` is when it was computed, `row` its row of the overview, `bogie` its drawn parts. `values`
+    are the properties of ``State`` that are known; any other one raises AttributeError.
+    """
+
+    def __init__(self, at: datetime, row: dict[str, Any], bogie: Any, **values: Any) -> None:
+        # a frozen dataclass is filled by its dictionary, in which cached properties find values
+        self.__dict__.update(values, at=at, row=row, bogie=bogie)
+
+    at: datetime
+    row: dict[str, Any]
+    bogie: Any
 
 
 MOST_RATIO = 100.0
@@ -290,6 +342,10 @@ class FleetStates:
     def keys(self) -> set[Key]:
         """Return vehicle and place of each suspension."""
         return set(self._states)
+
+    def get(self, key: Key) -> State | None:
+        """Return the state of a suspension, None if it is unknown."""
+        return self._states.get(key)
 
     def update(self, several: Iterable[Series], gone: Collection[Key] = ()) -> set[Key]:
         """Add or replace suspensions, remove those in `gone`, and recompute alarms.

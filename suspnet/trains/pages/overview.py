@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import astuple, dataclass, field
 from datetime import UTC, datetime
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,10 @@ from suspnet.ground.parameters import Severity, part_words
 from suspnet.ground.records import OK, PLACE_FROM_TRAIN, Key, Place, TripResult
 from suspnet.ground.storage import content_hash
 from suspnet.trains.history.schema import BadRow
-from suspnet.trains.maintenance.alarms import Acknowledgement, newest_of
+from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.trains.maintenance.plan import Plan
 from suspnet.trains.maintenance.series import make_series
-from suspnet.trains.maintenance.state import State
+from suspnet.trains.maintenance.state import KeptState, State
 from suspnet.trains.pages.failing_sensors import dead_words, sensor_words
 
 REPORT = "report.html"
@@ -54,7 +55,7 @@ class Evaluated:
     def row(self) -> dict[str, Any]:
         """Return the suspension as one flat row of the overview."""
         state = self.state or State(make_series([], {}, place=self.place))
-        row = _row(state, {})
+        row = overview_row(state)
         row["where"] = row["where"] or self.name
         row["suspension"] = self.place.suspension or self.name
         if self.error:
@@ -71,9 +72,10 @@ class FleetView:
     `version` increases with each view of a board, from 0 before anything was read; `at` is in UTC.
     `states` are sorted by severity, then by life, and `rows` are their ``overview_rows``. `plan` is
     None until remaining lives are computed. `names` are the ``address`` of each suspension, and
-    `keys` its index by this name. `is_complete` is whether alarms, lives and plan cover
-    all trips. `trouble` states why the store could not be read the last time; `bad_rows` cannot be
-    read and are left out.
+    `keys` its index by this name. `is_complete` is whether alarms, lives and plan cover all trips;
+    those of `n_waiting` suspensions are still to be evaluated. `kept_at` is when the state of such
+    a suspension was computed, by its name, if an earlier one is shown. `trouble` states why the
+    store could not be read the last time; `bad_rows` cannot be read and are left out.
     """
 
     version: int = 0
@@ -85,6 +87,8 @@ class FleetView:
     keys: dict[str, int] = field(default_factory=dict)
     acknowledged: Mapping[Key, Sequence[Acknowledgement]] = field(default_factory=dict)
     is_complete: bool = False
+    n_waiting: int = 0
+    kept_at: Mapping[str, datetime] = field(default_factory=dict)
     trouble: str = ""
     bad_rows: tuple[BadRow, ...] = ()
 
@@ -104,6 +108,7 @@ def fleet_view(
     *,
     version: int = 1,
     is_complete: bool = True,
+    waiting: Collection[Key] = (),
     bad_rows: Sequence[BadRow] = (),
 ) -> FleetView:
     """Return the view of a fleet; `states` come with the most severe first."""
@@ -117,6 +122,12 @@ def fleet_view(
         keys={name: i for i, name in enumerate(names)},
         acknowledged=acknowledged,
         is_complete=is_complete,
+        n_waiting=len(waiting),
+        kept_at={
+            name: state.at
+            for name, state in zip(names, states, strict=True)
+            if isinstance(state, KeptState) and state.key in waiting
+        },
         bad_rows=tuple(bad_rows),
     )
 
@@ -131,13 +142,21 @@ def overview_rows(
     states: Sequence[State], acknowledged: Mapping[Key, Sequence[Acknowledgement]]
 ) -> list[dict[str, Any]]:
     """Return one flat row for each suspension, in the order given."""
-    return [_row(state, acknowledged) for state in states]
+    return [overview_row(state, acknowledged) for state in states]
 
 
-def _row(state: State, acknowledged: Mapping[Key, Sequence[Acknowledgement]]) -> dict[str, Any]:
-    series, shortest = state.series, state.shortest
+def overview_row(
+    state: State, acknowledged: Mapping[Key, Sequence[Acknowledgement]] = MappingProxyType({})
+) -> dict[str, Any]:
+    """Return the row of a suspension."""
     worst = next(iter(state.alarms), None)
     seen = worst and newest_of(worst, acknowledged.get(state.key, ()))
+    row = state.row if isinstance(state, KeptState) else _row(state, worst)
+    return row | {"acknowledged": f"{seen.by}, {seen.at[:10]}" if seen else ""}
+
+
+def _row(state: State, worst: Alarm | None) -> dict[str, Any]:
+    series, shortest = state.series, state.shortest
     has_finding = state.severity > Severity.NONE  # the reasons of the others are not shown
     life = shortest and (*shortest[1].interval_km(), shortest[1].quantile_km(0.5))
     low, high, median = life or (np.nan, np.nan, np.nan)
@@ -151,7 +170,7 @@ def _row(state: State, acknowledged: Mapping[Key, Sequence[Acknowledgement]]) ->
         "sensors": sensor_words(state),
         "since_km": worst.begin_km if worst else np.nan,
         "n_alarms": len(state.alarms),
-        "acknowledged": f"{seen.by}, {seen.at[:10]}" if seen else "",
+        "acknowledged": "",
         "life_parameter": shortest[0] if shortest else "",
         "life_low_km": low,
         "life_median_km": median,

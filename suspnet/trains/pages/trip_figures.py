@@ -13,10 +13,9 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from suspnet.ground.findings import Finding
-from suspnet.ground.records import TripCurves, TripResult
+from suspnet.ground.records import Overview, TripCurves, TripResult
 from suspnet.ground.types import FloatArray
 from suspnet.runs.figures import MILEAGE_LABEL, SUSPENSIONS, say
-from suspnet.trains.recordings.recording import Overview
 
 if TYPE_CHECKING:  # the history imports SQLAlchemy, 0.4 s
     from suspnet.trains.history.arrays import TripResponses

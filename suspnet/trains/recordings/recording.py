@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import SIDES
+from suspnet.ground.records import Overview
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.ground.wording import ShortRepr
@@ -342,23 +343,6 @@ def followed(first: Recording, later: Recording, offset_s: float) -> Recording:
 
 WINDOWS = 600
 """Largest number of windows of an overview, about the width of a figure in pixels."""
-
-
-@dataclass(frozen=True, eq=False)
-class Overview:
-    """Range and mean of the signals of a recording in windows of equal length.
-
-    `times_s`: (n_windows,), start of each window since the first sample. `low`, `high`, `mean`:
-    (3, n_windows), [m/s2], in the order of ``CHANNELS``. `speed_m_per_s`: (n_windows,), the mean;
-    NaN where partly unknown. `faulty`: (n_windows,), whether a sample is unusable; None if unknown.
-    """
-
-    times_s: FloatArray
-    low: FloatArray
-    high: FloatArray
-    mean: FloatArray
-    speed_m_per_s: FloatArray
-    faulty: BoolArray | None = None
 
 
 def overview(recording: Recording) -> Overview:
