@@ -105,13 +105,20 @@ class SpatialVehicle(VehicleFamily):
     def quantities(self) -> tuple[Quantity, ...]:  # noqa: D102
         measuring = {f"{kind}_{place}" for kind in ("gain", "delay") for place in self._places[1:]}
         measuring |= {f"cross_axis_{place}" for place in self._places}
+        measuring |= {
+            f"floor_{kind}_{place}"
+            for kind in ("softness", "damping")
+            for place in self._places
+            if place.startswith("body")
+        }
         return (
             # those of yaw dampers are among its own
             *(q for q in QUANTITIES if q.part not in ("sensors", "yaw_dampers")),
             *(
                 quantity
                 for quantity in SPATIAL_QUANTITIES
-                if quantity.part not in ("sensors", "cross_axis") or quantity.name in measuring
+                if quantity.part not in ("sensors", "floors", "cross_axis")
+                or quantity.name in measuring
             ),
         )
 
