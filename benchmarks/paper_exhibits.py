@@ -36,7 +36,6 @@ from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import UNITS
 from suspnet.ground.storage import read_json, write_atomically
-from suspnet.runs import plots
 from suspnet.runs.tables import MODEL_TITLES, PAPER_METHODS, in_digits, records_csv
 from suspnet.runs.tensorboard import RunLog
 from suspnet.runs.train import train
@@ -180,7 +179,7 @@ def _figures(model: TrainedModel, noisy: Rows) -> dict[str, Figure]:
     return {
         "fig03": paper_figures.quarter_car(model.vehicle),
         "fig05": paper_figures.bode(model.generator, bins),
-        "fig06": plots.peak_fits(bins.numpy(), curve[0].numpy(), peaks),
+        "fig06": paper_figures.peak_fits(bins.numpy(), curve[0].numpy(), peaks),
         "fig07": paper_figures.degradation(model.generator, bins),
         "fig11": paper_figures.sensitivity(noisy),
     }

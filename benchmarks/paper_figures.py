@@ -13,12 +13,10 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import NullFormatter
 
 from suspnet.ground.parameters import PARAMETERS, UNITS
+from suspnet.ground.types import FloatArray
 from suspnet.runs.figures import SUSPENSIONS, SYMBOLS
-from suspnet.runs.plots import BOUND_COLOUR, grid
-from suspnet.runs.tables import (
-    MODEL_TITLES,
-    precision_percent,
-)
+from suspnet.runs.plots import BOUND_COLOUR, PEAKS, draw_peaks, grid
+from suspnet.runs.tables import MODEL_TITLES
 from suspnet.vehicle import ResponseGenerator, Vehicle
 
 PRECISION_TICKS = (0.2, 0.5, 1, 2, 5)
@@ -118,7 +116,7 @@ def sensitivity(runs: Sequence[Mapping[str, Any]]) -> Figure:
         own = sorted((r for r in runs if r["model"] == model), key=lambda run: run["snr_db"])
         for output in dict.fromkeys(name for run in own for name in run["scores"]):
             chosen = [r for r in own if output in r["scores"]]
-            precision = [precision_percent(run["snr_db"]) for run in chosen]
+            precision = [100 * 10 ** (-run["snr_db"] / 20) for run in chosen]  # [%]
             mape, bound = (
                 [run[key][output]["mape_percent"] for run in chosen] for key in ("scores", "bound")
             )
@@ -133,4 +131,14 @@ def sensitivity(runs: Sequence[Mapping[str, Any]]) -> Figure:
         axis.yaxis.set_major_formatter("{x:g}")
     axes[0][0].set_ylabel("MAPE [%]")
     figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
+    return figure
+
+
+def peak_fits(
+    frequencies_hz: FloatArray, curves: FloatArray, features: Mapping[str, float]
+) -> Figure:
+    """Draw the peaks of both curves (Fig. 6)."""
+    figure, axes = grid(1, 2)
+    for axis, suspension, curve in zip(axes[0], PEAKS, curves, strict=True):
+        draw_peaks(axis, frequencies_hz, curve, features, suspension)
     return figure

@@ -52,17 +52,12 @@ _NAMES = {
 }
 """The public names of each module; `__init__.pyi` has them for type checkers."""
 _HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}
-_REMOVED = {
-    "train_parts": "the fit of a bogie's parts starts from the healthy vehicle",
-    "PartsRegression": "the fit of a bogie's parts starts from the healthy vehicle",
-}
 __all__ = sorted(_HOMES)
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
-        reason = f": it was removed, as {_REMOVED[name]}" if name in _REMOVED else ""
-        raise AttributeError(f"module 'suspnet' has no attribute {name!r}{reason}")
+        raise AttributeError(f"module 'suspnet' has no attribute {name!r}")
     value = globals()[name] = getattr(importlib.import_module(f"suspnet.{_HOMES[name]}"), name)
     return value
 

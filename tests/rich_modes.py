@@ -12,6 +12,8 @@ a twelfth of their second difference make up for it, and (w h)^4 / 90 is left.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.signal import lfilter
 
@@ -103,3 +105,17 @@ def simulate_modes(matrices, track, rate_hz, n_samples, n_lead=0, sensors=None):
         moved = modes.advance(track(np.arange(first - 1, last + 1) / rate_hz)[2])
         found[:, max(first, 0) : max(last, 0)] = moved[:, max(0, -first) :]
     return found
+
+
+def tones(train, frequencies_hz, velocity=0.01):
+    """Return a track of cosine waves, all processes alike but for their phase, velocity in m/s."""
+    omega = 2 * math.pi * np.array(frequencies_hz)
+    arrivals = train.phasors(frequencies_hz) @ np.exp(1j * np.arange(train.n_processes))
+
+    def inputs(times):
+        wave = velocity / omega[:, None, None] * arrivals[..., None]
+        wave = wave * np.exp(1j * omega[:, None, None] * times)
+        factors = [np.ones(len(omega)), 1j * omega, -(omega**2)]
+        return np.stack([(f[:, None, None] * wave).real.sum(axis=0) for f in factors])
+
+    return inputs

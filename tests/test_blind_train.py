@@ -61,13 +61,6 @@ def test_springs_and_dampers_resist_no_rigid_motion(seed):
     assert np.abs(np.array(motion.rows) @ rigid.T).max() < 1e-12
 
 
-def test_matrices_without_creep_are_symmetric_and_positive():
-    motion = Motion(replace(scattered(), creep_x=0.0, creep_y=0.0), 70.0)
-    for matrix in (motion.mass, motion.damping, motion.stiffness):
-        np.testing.assert_allclose(matrix, matrix.T, atol=1e-6)
-        assert np.linalg.eigvalsh(matrix).min() > -1e-3
-
-
 @pytest.mark.parametrize("bounce", [True, False])
 def test_vertical_modes_are_those_of_two_masses(bounce):
     train = replace(
@@ -85,25 +78,6 @@ def test_vertical_modes_are_those_of_two_masses(bounce):
     poles = np.linalg.eigvals(Motion(train, 70.0).a)  # it hunts without yaw dampers
     for omega in np.sqrt(squares):
         assert np.abs(poles.imag - omega).min() < 1e-4 * omega
-
-
-def test_frame_pitches_on_its_springs():
-    train = replace(Train(**STIFF), primary_c=np.full((2, 4), 1e-3), secondary_kxy=0.0)
-    train = replace(train, yaw_damper_c=1e-3)
-    stiffness = 4 * (0.65e6 * 1.35**2 + train.primary_kx * train.primary_z_m**2)
-    omega = np.sqrt(stiffness / (train.frame_kg * train.frame_gyration_m[1] ** 2))
-    poles = np.linalg.eigvals(Motion(train, 70.0).a)
-    assert np.abs(poles.imag - omega).min() < 1e-4 * omega
-
-
-def test_slow_track_lifts_and_rolls_everything_alike():
-    motion = Motion(Train.scattered(1), 70.0)
-    scale = -((2 * np.pi * 0.01) ** 2)
-    np.testing.assert_allclose(response(motion, MEAN, 0.01) / scale, 1, atol=2e-3)
-    rolled = response(motion, CROSS, 0.01) / scale
-    gauge = np.tile([1, -1], 3) / motion.train.half_gauge_m
-    # the unequal springs do not matter: there is no load
-    np.testing.assert_allclose(rolled, gauge, atol=0.01)
 
 
 @pytest.mark.parametrize("frequency", [0.7, 3.0, 11.0, 24.0])
@@ -159,12 +133,6 @@ def test_wheelset_runs_in_waves_of_klingel():
     assert np.abs(poles - 1j * expected).min() < 0.02 * expected
 
 
-def test_wheelsets_without_guidance_hunt():
-    train = replace(Train(), primary_kx=1e3, primary_ky=1e3, conicity=0.3)
-    with pytest.raises(ValueError, match="unstable"):
-        Motion(train, 70.0).poles()
-
-
 @pytest.mark.parametrize("frequency", [0.8, 5.0, 20.0])
 def test_reverse_is_the_turned_vehicle_forward(frequency):
     train = scattered()
@@ -206,23 +174,6 @@ def test_track_has_its_density_and_is_delayed():
     assert ratio.std() < 0.15
     behind = inputs[3] * np.exp(2j * np.pi * np.fft.rfftfreq(n, 1 / run.rate_hz) * 2.7 / 70.0)
     np.testing.assert_allclose(behind, inputs[0], atol=1e-9 * np.abs(inputs[0]).max())
-
-
-def test_german_track_has_the_rms_of_its_source():
-    n = np.linspace(1 / 25, 1 / 3, 20000)  # [1/m]
-    density = Track().densities(n, 1.0)[0]
-    assert 1e3 * np.sqrt(np.trapezoid(density, n)) == pytest.approx(0.98, rel=0.01)
-
-
-def test_wheelsets_alone_get_their_share():
-    motion, run = Motion(Train(), 70.0), Run(alone_share=0.5)
-    inputs, frequencies = track_inputs(motion, Track(), run, 2**17, np.random.default_rng(0))
-    back = inputs * np.exp(2j * np.pi * frequencies * np.repeat(motion.delays(), 3)[:, None])
-    kept = (frequencies > 0) & (frequencies < 80)
-    for place in range(3):
-        coherent = np.mean((back[place] * back[place + 6].conj())[kept]).real
-        power = np.mean(np.abs(back[place][kept]) ** 2)
-        assert coherent / power == pytest.approx(1 / 1.5, rel=0.15)
 
 
 def test_ratios_scale_the_part_of_their_name():

@@ -4,9 +4,10 @@ import importlib.util
 import json
 from pathlib import Path
 
-import fault_injection
 import pytest
 from forked import run_apart
+
+from benchmarks import fault_injection
 
 NEVER = (
     *("half-written", "lost", "orphans", "tracebacks"),

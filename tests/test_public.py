@@ -57,9 +57,8 @@ def test_every_public_name_is_there_and_listed_once():
     ]  # what type checkers see
     assert sorted(imported) == sorted({*suspnet.__all__, "__version__"})
     assert set(imported) <= set(dir(suspnet))
-    for name, message in {"nothing": "'nothing'$", "train_parts": "it was removed, as"}.items():
-        with pytest.raises(AttributeError, match=f"module 'suspnet' has no attribute .*{message}"):
-            getattr(suspnet, name)
+    with pytest.raises(AttributeError, match="module 'suspnet' has no attribute 'nothing'"):
+        suspnet.nothing  # noqa: B018
 
 
 def test_import_does_not_pull_in_torch():

@@ -89,8 +89,8 @@ def shifts(
     error = moved(rows, torch.arange(len(rows)))
     prior = torch.cat([torch.zeros(len(parameters)), torch.ones(directions.n)]).to(jacobian)
     information = jacobian @ jacobian.mT + prior.diag()
-    found = -torch.linalg.solve(information, jacobian @ error[:, :, None])[:, :, 0]
-    absolute = found[:, : len(parameters)].cpu().numpy()
+    change = -torch.linalg.solve(information, jacobian @ error[:, :, None])[:, :, 0]
+    absolute = change[:, : len(parameters)].cpu().numpy()
     return np.asarray(absolute / np.asarray(ratios)[:, columns_of(parameters)])
 
 
@@ -105,13 +105,13 @@ def without_uncertain(information: FloatArray, n_parameters: int) -> FloatArray:
     `information` has the shape (..., n_parameters + n_z, n_parameters + n_z).
     """
     n = n_parameters
-    found = information[..., :n, :n]
+    i_tt = information[..., :n, :n]
     if information.shape[-1] == n:
-        return found
-    both = information[..., :n, n:]
+        return i_tt
+    i_tz = information[..., :n, n:]
     prior = np.eye(information.shape[-1] - n)
-    solved = np.linalg.solve(information[..., n:, n:] + prior, np.swapaxes(both, -1, -2))
-    return np.asarray(found - both @ solved)
+    solved = np.linalg.solve(information[..., n:, n:] + prior, np.swapaxes(i_tz, -1, -2))
+    return np.asarray(i_tt - i_tz @ solved)
 
 
 def _joint_derivative(
@@ -142,11 +142,11 @@ def derivative_of_rows(
         values = function(point)
         v = torch.zeros_like(values, requires_grad=True)
         (product,) = torch.autograd.grad((values * v).sum(), point, create_graph=True)
-        found = [
+        derivatives = [
             torch.autograd.grad(product[:, column].sum(), v, retain_graph=True)[0]
             for column in columns
         ]
-    return torch.stack(found, dim=1)
+    return torch.stack(derivatives, dim=1)
 
 
 def _nuisance(directions: Directions, misfit: Misfit, ratios: Tensor) -> Tensor:
@@ -225,11 +225,11 @@ def _of_features(
 def _feature_covariance(values: Tensor) -> tuple[Tensor, Tensor]:
     """Return the covariance (n, p, p) of draws (n, n_draws, p) without NaN, and their number."""
     complete = torch.isfinite(values).all(dim=2)
-    n_found = complete.sum(dim=1)
-    kept = torch.where(complete[:, :, None], values, 0.0)
-    mean = kept.sum(dim=1, keepdim=True) / n_found[:, None, None]
+    n_complete = complete.sum(dim=1)
+    filled = torch.where(complete[:, :, None], values, 0.0)
+    mean = filled.sum(dim=1, keepdim=True) / n_complete[:, None, None]
     centred = torch.where(complete[:, :, None], values - mean, 0.0)
-    return centred.mT @ centred / (n_found - 1)[:, None, None], n_found
+    return centred.mT @ centred / (n_complete - 1)[:, None, None], n_complete
 
 
 def _feature_jacobian(
@@ -277,10 +277,10 @@ def output_bounds(task: Task, observer: Observer, ratios: FloatArray) -> FloatAr
     bounds = np.zeros((len(ratios), len(task.outputs)))
     for names, rows in task.rows_of_sets(ratios):
         information = fisher_information(observer, ratios[rows], names, task.responses)
-        found = cramer_rao(information)
+        joint_bounds = cramer_rao(information)
         for j, output in enumerate(task.outputs):
             if output in names:
-                bounds[rows, j] = found[:, names.index(output)]
+                bounds[rows, j] = joint_bounds[:, names.index(output)]
     return bounds
 
 

@@ -80,8 +80,8 @@ def recording_information(
         seen = generator.channels(rows, bins)
         slopes = _slopes(generator, rows, bins, parameters, uncertain)
         seen, slopes = seen * level.to(seen.device), slopes * level.to(seen.device)
-        found = [_without_track(seen, slopes, choice.to(seen.device)) for choice in numbers]
-        blocks.append(per_bin * torch.stack(found).cpu().numpy())
+        per_choice = [_without_track(seen, slopes, choice.to(seen.device)) for choice in numbers]
+        blocks.append(per_bin * torch.stack(per_choice).cpu().numpy())
     return without_uncertain(np.concatenate(blocks, axis=1), len(parameters))
 
 
@@ -121,9 +121,9 @@ def _without_track(a: Tensor, da: Tensor, count: Tensor) -> Tensor:
     many = count[used].sqrt()[:, None]
     a, da = a[:, :, used] * many, da[:, :, :, used] * many
     a, da = a.movedim(-1, 1).mT, da.movedim(-1, 2).mT  # (n, [n_unknown,] n_freq, places, inputs)
-    one = torch.eye(a.shape[-2]).to(a)
+    identity = torch.eye(a.shape[-2]).to(a)
     whitening = torch.linalg.solve_triangular(
-        torch.linalg.cholesky(one + a @ a.mH), one, upper=False
+        torch.linalg.cholesky(identity + a @ a.mH), identity, upper=False
     )
     a, da = (whitening @ a)[:, None], whitening[:, None] @ da
     level, half = a @ a.mH, da @ a.mH

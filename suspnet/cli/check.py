@@ -56,8 +56,8 @@ def check(arguments: Namespace) -> int:
         page = write_checks(checks, elsewhere, output)
     print(f"{summary(checks, elsewhere)}\n-> {page}")
     code = exit_code(checks, elsewhere)
-    known = {vehicle.name for vehicle in options.values()}
-    for line in next_steps(arguments, checks, known, code):
+    names = {vehicle.name for vehicle in options.values()}
+    for line in next_steps(arguments, checks, names, code):
         print(printable(line))
     return code
 
@@ -90,17 +90,18 @@ def exit_code(checks: Sequence[TripCheck], elsewhere: Sequence[str]) -> int:
 
 
 def next_steps(
-    arguments: Namespace, checks: Sequence[TripCheck], known: Container[str], code: int
+    arguments: Namespace, checks: Sequence[TripCheck], names: Container[str], code: int
 ) -> list[str]:
     """Return lines with the command to run next; `code` is the exit code.
 
-    Without the numbers of a vehicle, which is none of the `known` ones, the next command is the
+    Without the numbers of a vehicle, which is none of `names`, the next command is the
     check with them, whatever the code; otherwise the training on the folder, or with `run` the
     evaluation. There is none for single manifests, trips of several vehicles, and a suspension that
     has too few ready trips.
     """
+    # a check without the vehicle's numbers says little: ask for them before anything else
     unchecked = {check.vehicle for check in checks if check.unchecked}
-    if unknown := sorted(name for name in unchecked if name not in known):
+    if unknown := sorted(name for name in unchecked if name not in names):
         folder = own_vehicles(unknown[0])
         again = command("check", *arguments.trips, "--config-dir", folder or "DIR")
         where = f", where DIR is the folder with vehicle/{unknown[0]}.yaml"
@@ -112,14 +113,15 @@ def next_steps(
     ready_of = [[c for c in each if c.state == READY] for each in suspensions(checks).values()]
     n_ready = [len(ready) for ready in ready_of]
     folder, *others = arguments.trips
+    # a command that would fail or take part of the trips only is not proposed
     if any(check.unchecked for check in checks) or min(n_ready, default=0) < LEAST_TRIPS:
         return []
     if others or not folder.is_dir() or len(vehicles) != 1:
         return []
     when = "with the problems mended, run" if code else "then run"
     if arguments.run:
-        read = command("evaluate", f"trips={folder}", f"run={listed(arguments.run)}")
-        return [f"{when}: {read}"]
+        evaluation = command("evaluate", f"trips={folder}", f"run={listed(arguments.run)}")
+        return [f"{when}: {evaluation}"]
     n_healthy = min(N_HEALTHY, *n_ready)
     # later trips may have too little for parts, as with a sensor that comes loose
     shows_parts = all(sum(check.shows_parts for check in r) >= n_healthy for r in ready_of)

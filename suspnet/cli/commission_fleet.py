@@ -163,21 +163,21 @@ def of_group(config: DictConfig, group: Group) -> DictConfig:
 
     A value that differs from the default stays.
     """
-    own = config.copy()
+    of_bogie = config.copy()
     for key, stated in (("bogie", group.place.bogie), ("axle", group.axle)):
-        if stated and own.generator.get(key) == "leading":
-            own.generator[key] = stated
-    return own
+        if stated and of_bogie.generator.get(key) == "leading":
+            of_bogie.generator[key] = stated
+    return of_bogie
 
 
 def _run(config: DictConfig, group: Group, folder: Path, n_healthy: int | None) -> Run:
     """Return the run of a suspension, with its own trips, bogie and axle."""
-    own = of_group(config, group)
-    own.n_healthy = n_healthy
-    own.reading_name = config.reading_name  # resolved here, as workers run without Hydra
-    own.healthy = str(group.folder)
-    own.progress = False
-    return Run(group, as_written(own), folder / group.name)
+    settings = of_group(config, group)
+    settings.n_healthy = n_healthy
+    settings.reading_name = config.reading_name  # resolved here, as workers run without Hydra
+    settings.healthy = str(group.folder)
+    settings.progress = False
+    return Run(group, as_written(settings), folder / group.name)
 
 
 def _trained(run: Run, train_one: TrainOne) -> tuple[list[str], str]:

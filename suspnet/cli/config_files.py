@@ -131,8 +131,8 @@ def _described(_root_: DictConfig) -> str:
         texts = [file.read_text("utf-8", "replace") for file in files if file.is_file()]
         for text in [*texts, *(text for key, text in _table(group) if key == name)][:1]:
             keys = f", keys of {part.package}" if part.package else ""
-            own = "".join(block for block in _blocks(text) if not block.startswith("hydra:"))
-            lines += ["", f"{'-' * 20} {part.config_path}{keys}", own.rstrip("\n")]
+            content = "".join(block for block in _blocks(text) if not block.startswith("hydra:"))
+            lines += ["", f"{'-' * 20} {part.config_path}{keys}", content.rstrip("\n")]
     return "\n".join(lines).replace("$", "$$") + "\n"
 
 

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from shlex import quote
 
 from omegaconf import DictConfig, OmegaConf
 
@@ -143,6 +144,8 @@ def _score(config: DictConfig, runs: Sequence[Path], output: Path) -> None:
     ]
     if len(results) > 1:
         write_table6(results, output)
+    if not is_job():
+        log.info("see it with: tensorboard --logdir %s", quote(str(output)))
 
 
 def run_study(config: DictConfig, folder: Path, history: Callable[[], History]) -> int:

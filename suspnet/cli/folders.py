@@ -247,10 +247,10 @@ def swept() -> list[str]:
     return list(dict.fromkeys(keys))
 
 
-def _changed(*known: str) -> str:
+def _changed(*shown: str) -> str:
     """Return the name of a run: what a multirun varies, or else what the command line sets.
 
-    The keys `known` are left out, as the path shows them anyway. Of a multirun it is the name of
+    The keys `shown` are left out, as the path has them anyway. Of a multirun it is the name of
     what the command line sets for all its runs.
     """
     config, named = HydraConfig.get(), swept()
@@ -258,7 +258,7 @@ def _changed(*known: str) -> str:
     return joined_name(
         _word(key, value, key in config.runtime.choices)
         for key, value in settings.items()
-        if key not in known and (key in named or not named)
+        if key not in shown and (key in named or not named)
     )
 
 

@@ -80,7 +80,7 @@ def _alarms(store: History, arguments: Namespace) -> str:
     ]
     if not chosen:
         return "no alarm" if arguments.all else "no open alarm"
-    chosen.sort(key=lambda one: (not one[0].is_open, -one[0].severity, one[1] is not None))
+    chosen.sort(key=lambda row: (not row[0].is_open, -row[0].severity, row[1] is not None))
     rows = [
         [
             str(alarm.severity),

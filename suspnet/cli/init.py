@@ -48,7 +48,7 @@ def init(arguments: Namespace) -> int:
 
 def _write(paths: Sequence[Path], settings: Sequence[str], arguments: Namespace) -> int:
     # what is known of the trips: their files, the command line, and a table
-    table, keys = arguments.table, folders.read_said(settings)
+    table, keys = arguments.table, folders.read_settings(settings)
     if len(paths) == 1 and paths[0].is_dir():
         if arguments.output:
             raise ValueError("--output is for the manifest of one trip; a folder's lie in it")
@@ -65,11 +65,13 @@ def _write(paths: Sequence[Path], settings: Sequence[str], arguments: Namespace)
     rows = read_table(table) if table and table.exists() else {}
     vehicles = arguments.config_dir or own_vehicles(keys.get("vehicle", ""))
     trips = folders.folder_manifests(trip_files, folder, keys, rows, vehicles)
+    # a manifest may have been edited by hand, so it is replaced on request only
     new = [trip for trip in trips if arguments.force or not os.path.lexists(trip.path)]
     missing = list(dict.fromkeys(key for trip in new for key in trip.missing))
     of_vehicles = [] if vehicles is None else ["--config-dir", str(vehicles)]
     options = [*(["--table", str(table)] if table else []), *of_vehicles]
     wrong = _unknown_vehicles(vehicles, new)
+    # write all manifests or none: a folder half done would be checked and trained as it is
     if missing or wrong:
         print(f"{count(len(new), 'trip')} in {folder}; nothing is written yet; ", end="")
         print(f"these are {'missing or wrong' if wrong else 'missing'}:", *wrong, sep="\n")
@@ -78,7 +80,7 @@ def _write(paths: Sequence[Path], settings: Sequence[str], arguments: Namespace)
             where = "" if len(without) == len(new) else f" (in {len(without)} of them)"
             print(printable(f"  {key}{where}: {folders.how_to_say(key, without)}"))
         if table and not table.exists() and "mileage_km" in missing:
-            firsts = ((trip.files[0].relative_to(folder), trip.known) for trip in new)
+            firsts = ((trip.files[0].relative_to(folder), trip.stated) for trip in new)
             write_atomically(table, table_of(firsts))
             print(f"-> {table}: fill in its columns, then run the same command again")
         right = [word for word in settings if not (wrong and word.startswith("vehicle="))]
@@ -100,12 +102,12 @@ def _write(paths: Sequence[Path], settings: Sequence[str], arguments: Namespace)
 
 def _unknown_vehicles(folder: Path | None, trips: Sequence[folders.Trip]) -> list[str]:
     """Return a line on each vehicle of the trips that neither the folder nor suspnet has."""
-    own: set[str] = set()
+    names: set[str] = set()
     if folder is not None:
         from suspnet.cli.kinds import vehicles_with  # with Hydra
 
-        own = {vehicle.name for vehicle in vehicles_with(folder).values()}
-    stated = dict.fromkeys(t.known["vehicle"] for t in trips if "vehicle" in t.known)
+        names = {vehicle.name for vehicle in vehicles_with(folder).values()}
+    stated = dict.fromkeys(t.stated["vehicle"] for t in trips if "vehicle" in t.stated)
     return [
         printable(
             f"  vehicle: {vehicle.value!r} ({vehicle.source}) is no vehicle of suspnet's"
@@ -114,12 +116,12 @@ def _unknown_vehicles(folder: Path | None, trips: Sequence[folders.Trip]) -> lis
             f"vehicle/{vehicle.value}.yaml, which suspnet init --vehicle writes"
         )
         for vehicle in stated
-        if str(vehicle.value) not in own and not is_shipped(str(vehicle.value))
+        if str(vehicle.value) not in names and not is_shipped(str(vehicle.value))
     ]
 
 
 def _assumed(trips: Sequence[folders.Trip]) -> list[str]:
     """Return a line on the keys of ``ASSUMED`` that are not stated, with the number of trips."""
-    missing = {key: sum(key not in trip.known for trip in trips) for key in ASSUMED}
+    missing = {key: sum(key not in trip.stated for trip in trips) for key in ASSUMED}
     listed = "; ".join(f"{key} ({n}): {ASSUMED[key]}" for key, n in missing.items() if n)
     return [f"  assumed unless KEY=VALUE or a table states it: {listed}"] if listed else []

@@ -198,7 +198,7 @@ class CheckedLoader(ConfigLoaderImpl):
                 "`hydra.searchpath` cannot be set; name your folder with --config-dir FOLDER"
             )
         if config_name == "train":
-            values = {one.key_or_group: _text(one) for one in parsed}
+            values = {override.key_or_group: _text(override) for override in parsed}
             vehicles = self.repository.get_group_options("vehicle")
             overrides = [*overrides, *presets.of_healthy(values, vehicles, self._vehicle_name)]
         theirs = [source for source in self.get_sources() if isinstance(source, _TheirFolder)]

@@ -56,5 +56,5 @@ def main(config: DictConfig) -> None:
 
 def words(counts: dict[str, int]) -> str:
     """Return counts as text, the largest first."""
-    largest = sorted(counts.items(), key=lambda one: -one[1])
+    largest = sorted(counts.items(), key=lambda item: -item[1])
     return ", ".join(f"{n} {name}" for name, n in largest) or "none"

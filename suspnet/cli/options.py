@@ -73,8 +73,8 @@ def check_parser() -> ArgumentParser:
     add("--no-pictures", action="store_true", help=pictures)
     workers = "number of processes that read trips [whole number; at least 1; 1 up to 10 trips]"
     add("--workers", type=int, metavar="N", help=workers)
-    own = "folder with your own vehicles, vehicle/NAME.yaml, as for train.py [path; none]"
-    add("--config-dir", type=Path, metavar="DIR", help=own)
+    description = "folder with your own vehicles, vehicle/NAME.yaml, as for train.py [path; none]"
+    add("--config-dir", type=Path, metavar="DIR", help=description)
     run = "training whose models must read the trips; may be given several times [path; none]"
     add("--run", type=Path, action="append", metavar="DIR", help=run)
     # taken off before: it is here for --help
@@ -100,11 +100,11 @@ def init_parser() -> ArgumentParser:
         f"[paths with {', '.join(sorted(READERS))}]"
     )
     add("files", nargs="*", metavar="DIR | FILE | KEY=VALUE", help=files)
-    own = (
+    description = (
         "folder with your own vehicles, vehicle/NAME.yaml: the trips' vehicle must be one of them "
         "or of suspnet's [path; none]"
     )
-    add("--config-dir", type=Path, metavar="DIR", help=own)
+    add("--config-dir", type=Path, metavar="DIR", help=description)
     table = (
         "table of the trips with columns file, mileage_km, start, direction and "
         "other keys of a manifest, names in English or German; if there is no such file and "

@@ -175,13 +175,13 @@ def take_plugins(arguments: list[str]) -> list[str]:
     return files
 
 
-def _check_name(what: str, name: Any, shipped: frozenset[str]) -> None:
+def _check_name(key: str, name: Any, shipped: frozenset[str]) -> None:
     if not isinstance(name, str) or not NAME.fullmatch(name):
         raise ValueError(
-            f"`{what}` must be lower-case letters, digits and underscores, got {name!r}"
+            f"`{key}` must be lower-case letters, digits and underscores, got {name!r}"
         )
     if name in shipped:
-        raise ValueError(f"`{what}` {name!r} is one of suspnet's own; take another")
+        raise ValueError(f"`{key}` {name!r} is one of suspnet's own; take another")
 
 
 def _defaults(name: str, cls: type) -> Mapping[str, Any]:

@@ -23,12 +23,12 @@ def of_healthy(
     folder = typed.get("healthy")
     if not folder or folder == "null" or "experiment" in typed:
         return []
-    found = [OF_HEALTHY]
+    overrides = [OF_HEALTHY]
     if "vehicle" not in typed and (vehicle := _vehicle_in(Path(folder))):
         named = [vehicle] if vehicle in options else []
         named += [option for option in options if name_of(option) == vehicle]
-        found += [f"vehicle={option}" for option in named[:1]]
-    return found
+        overrides += [f"vehicle={option}" for option in named[:1]]
+    return overrides
 
 
 def _vehicle_in(folder: Path) -> str | None:

@@ -57,31 +57,11 @@ MISTAKES = (
 SERVER = re.compile(r"\bpostgres(ql)?(\+\w+)?://")
 PASSWORD = re.compile(r"(?<=://)([^:/@]*):([^@]*)@|(?<=[?&])password=([^&'\"]*)&?")
 """Password in the URL of a server, after the user or as an option."""
-REMOVED = {
-    re.compile(r"'(?:\w+/)?(ablation|layouts|reliability|tube)"): (
-        "is a script of the sources now: python benchmarks/{0}.py --help"
-    ),
-    re.compile(r"'(protocol/components)'"): (
-        "is gone: leave it out, as each part is read wherever healthy trips show it"
-    ),
-    re.compile(r"(plan\.(?:visit|costs|step_days|plan_again_risk|reach_km|notice_days))\b"): (
-        "is gone: plan.risk and bundle_days set what is done when"
-    ),
-    re.compile(r"'(?:\w+/)?(sensitivity)"): (
-        "is gone: benchmarks/paper_exhibits.py RUN draws Fig. 11, and -m data.snr_db=26,34,54 "
-        "lists errors"
-    ),
-    re.compile(r"override '(token_file)'"): (
-        "is gone: the environment variable SUSPNET_API_TOKEN_FILE names the file"
-    ),
-    re.compile(r"override '(experiment)'"): (
-        "is of train.py, studies are of evaluate.py: python train.py experiment=NAME"
-    ),
-    re.compile(r"override '(study)'"): (
-        "is of evaluate.py, experiments are of train.py: python evaluate.py study=NAME"
-    ),
+OF_ANOTHER_PROGRAM = {
+    "experiment": "is of train.py, studies are of evaluate.py: python train.py experiment=NAME",
+    "study": "is of evaluate.py, experiments are of train.py: python evaluate.py study=NAME",
 }
-"""What Hydra does not find because it was removed or belongs to another program, and a hint."""
+"""Groups that Hydra does not find because they belong to another program, and a hint."""
 is_debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
 
 store_tables()
@@ -341,10 +321,9 @@ def one_line(error: BaseException) -> str:
     if message.startswith("Could not override"):
         start = message.strip().rstrip(".")
         message = f"{start}. There is no such key{_nearest_key(error)}; --help lists them"
-    for pattern, hint in REMOVED.items():
-        name = pattern.search(text)
-        if name and "Could not" in text:
-            message = f"{name[1]} {hint.format(name[1])}"
+    for name, hint in OF_ANOTHER_PROGRAM.items():
+        if f"override '{name}'" in text and "Could not" in text:
+            message = f"{name} {hint}"
     if isinstance(error, OSError) and error.filename is not None:
         message = why(error)
     return printable("error: " + " ".join(message.split()))

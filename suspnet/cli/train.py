@@ -98,8 +98,10 @@ def main(config: DictConfig) -> None:
         folders.start_again(folder)
         _run(config, folder)
     if groups:
-        read = command("evaluate", f"trips={config.healthy}", f"run={folder}")
-        log.info("then run: %s", read)
+        evaluation = command("evaluate", f"trips={config.healthy}", f"run={folder}")
+        log.info("then run: %s", evaluation)
+    elif not folders.is_job():
+        log.info("then run: %s", command("evaluate", f"run={folder}"))
 
 
 def _run(config: DictConfig, folder: Path, paths: Sequence[ManifestFile] | None = None) -> None:
@@ -129,27 +131,31 @@ def _run(config: DictConfig, folder: Path, paths: Sequence[ManifestFile] | None 
     directions = _directions(config, healthy)
     train_one = partial(_train, healthy=healthy)
     if not isinstance(speeds, ListConfig | list) and len(directions) == 1:
-        own = config.copy()
-        own.speed_m_per_s = speeds
-        if "speed_half_width" in own.data:
-            own.data.speed_half_width = _half_width(config)
-        train_one(_running(own, directions[0]), folder, given=config)
+        of_speed = config.copy()
+        of_speed.speed_m_per_s = speeds
+        if "speed_half_width" in of_speed.data:
+            of_speed.data.speed_half_width = _half_width(config)
+        train_one(_running(of_speed, directions[0]), folder, saved=config)
         return
     ranges = [replace(r, direction=d) for r in _ranges(config, speeds) for d in directions]
     program.save_config(config, folder)
-    train_ranges(ranges, lambda one, where: train_one(_bound(config, one), where), folder)
+    train_ranges(
+        ranges,
+        lambda speeds_of_model, where: train_one(_bound(config, speeds_of_model), where),
+        folder,
+    )
 
 
 def _at_a_speed(config: DictConfig) -> DictConfig:
     """Return a configuration with one speed and length, before healthy trips have shown theirs."""
-    own = config.copy()
-    if "minutes" in own.data and own.data.minutes is None:
-        own.data.minutes = EstimateSettings.minutes
-    if isinstance(own.speed_m_per_s, ListConfig):
-        return _bound(own, _ranges(own, own.speed_m_per_s)[0])
-    if own.speed_m_per_s is None:
-        own.speed_m_per_s = FIRST_M_PER_S
-    return own
+    at_speed = config.copy()
+    if "minutes" in at_speed.data and at_speed.data.minutes is None:
+        at_speed.data.minutes = EstimateSettings.minutes
+    if isinstance(at_speed.speed_m_per_s, ListConfig):
+        return _bound(at_speed, _ranges(at_speed, at_speed.speed_m_per_s)[0])
+    if at_speed.speed_m_per_s is None:
+        at_speed.speed_m_per_s = FIRST_M_PER_S
+    return at_speed
 
 
 def _directions(config: DictConfig, healthy: _Healthy | None) -> Sequence[Direction]:
@@ -165,10 +171,10 @@ def _directions(config: DictConfig, healthy: _Healthy | None) -> Sequence[Direct
 
 
 def _running(config: DictConfig, direction: Direction) -> DictConfig:
-    own = config.copy()
-    if "direction" in own.generator:
-        own.generator.direction = own.direction = direction
-    return own
+    of_direction = config.copy()
+    if "direction" in of_direction.generator:
+        of_direction.generator.direction = of_direction.direction = direction
+    return of_direction
 
 
 def _ranges(config: DictConfig, speeds: float | Sequence[float]) -> list[SpeedRange]:
@@ -191,10 +197,10 @@ def _half_width(config: DictConfig) -> float:
 
 
 def _bound(config: DictConfig, speeds: SpeedRange) -> DictConfig:
-    own = _running(config, speeds.direction)
-    own.speed_m_per_s = speeds.trained_m_per_s
-    own.data.speed_half_width = speeds.half_width
-    return own
+    of_range = _running(config, speeds.direction)
+    of_range.speed_m_per_s = speeds.trained_m_per_s
+    of_range.data.speed_half_width = speeds.half_width
+    return of_range
 
 
 @dataclass(frozen=True)
@@ -273,9 +279,9 @@ def _train(
     config: DictConfig,
     folder: Path,
     healthy: _Healthy | None,
-    given: DictConfig | None = None,
+    saved: DictConfig | None = None,
 ) -> Metrics:
-    """Train one model and fill a folder; config.yaml holds `given`, or else `config`."""
+    """Train one model and fill a folder; config.yaml holds `saved`, or else `config`."""
     problem = Problem(
         generator=_generator(config, healthy),
         task=build(config, "protocol").task(config.group),
@@ -288,7 +294,7 @@ def _train(
         write_dataset(problem, path)
     model = build(config, "model")
     search = build(config, "search") if config.get("search") else None
-    resolved = program.save_config(given or config, folder)
+    resolved = program.save_config(saved or config, folder)
     return train(
         problem,
         model,
@@ -300,5 +306,6 @@ def _train(
             config=resolved,
             notes={"commissioned": healthy.notes} if healthy else {},
             residual=healthy.residual if healthy else None,
+            swept=folders.swept(),
         ),
     )

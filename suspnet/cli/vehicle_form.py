@@ -66,11 +66,11 @@ def write_vehicle(name: str, paths: Sequence[Path], words: Sequence[str], force:
     lines.append(f"name: {name}")
     for key, declared in settings_of(Vehicle).items():
         if key in FORM:
-            value, found = FORM[key]
+            value, source = FORM[key]
             setting = declared.setting
             sentence = re.sub(r"; .*", "", setting.sentence)
             lines += ["", f"# {sentence} [{setting.unit or setting.rule or 'share'}]"]
-            lines += [f"# {found}", f"{key}: {value}"]
+            lines += [f"# {source}", f"{key}: {value}"]
     write_atomically(path, "\n".join(lines) + "\n", force=force)
     option = "--config-dir", path.parents[1]
     print(

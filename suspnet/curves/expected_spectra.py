@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Protocol, Self
 
 import numpy as np
 import torch
@@ -24,9 +24,6 @@ from suspnet.ground.tensors import as_tensor, complex_log, squared_size, threads
 from suspnet.ground.types import FloatArray
 from suspnet.vehicle import PARAMETERS, ResponseGenerator
 from suspnet.vehicle.track import TrackSpectrum, acceleration_density
-
-if TYPE_CHECKING:
-    from suspnet.curves.estimate_observer import EstimateObserver
 
 OfFrequencies = Callable[[FloatArray], FloatArray]
 SPEED = len(PARAMETERS)
@@ -157,6 +154,20 @@ def noise_densities(
     return torch.as_tensor(noise)
 
 
+class _EstimateModel(Protocol):
+    """The part of an observer that a misfit to estimates compares them with."""
+
+    @property
+    def frequencies_hz(self) -> Tensor: ...
+
+    @property
+    def correlated_bins(self) -> float: ...
+
+    def noise_free(self, ratios: Tensor) -> Tensor: ...
+
+    def thinned(self) -> Self: ...
+
+
 @dataclass(frozen=True)
 class EstimateMisfit:
     """Complex responses estimated from trips, with the covariance of their logarithms.
@@ -167,7 +178,7 @@ class EstimateMisfit:
     infinite where an estimate is not used; `weight` is that of a bin.
     """
 
-    observer: EstimateObserver
+    observer: _EstimateModel
     observed: Tensor
     covariance: Tensor
     weight: float = 1.0
@@ -175,7 +186,7 @@ class EstimateMisfit:
     @property
     def expected(self) -> float:
         """Mean square of a residual if the model is true: 1 / r times the fraction of used bins."""
-        return self.weight * self._share / self._correlated
+        return self.weight * self._share / self.observer.correlated_bins
 
     def thinned(self) -> EstimateMisfit:
         """Return the misfit on every n-th bin, each with n times its weight."""
@@ -207,18 +218,14 @@ class EstimateMisfit:
         white_p = u[:, 0] / l_pp
         white_s = (u[:, 1] - l_sp * white_p) / l_ss
         parts = [white_p.real, white_p.imag, white_s.real, white_s.imag]
-        return torch.stack(parts, dim=1).flatten(1) * math.sqrt(2 * self.weight / self._correlated)
+        scale = math.sqrt(2 * self.weight / self.observer.correlated_bins)
+        return torch.stack(parts, dim=1).flatten(1) * scale
 
     @cached_property
     def _share(self) -> float:
         """Fraction of the estimates that are used, 1 if none is; residuals of others are 0."""
         used = self.covariance.diagonal(dim1=1, dim2=2).real.isfinite()
         return float(used.double().mean()) or 1.0
-
-    @cached_property
-    def _correlated(self) -> float:
-        correlated: float = self.observer.settings.welch.correlated_bins
-        return correlated
 
 
 def weak_bins(covariance: Tensor, beyond: Tensor, n_averages: float) -> Tensor:

@@ -155,12 +155,12 @@ class Problem:
         extractor = self.extractor
         table = extractor.extract(curves, self.observer.frequencies_hz.to(curves.device))
         for array, part in (("values", "names"), ("reasons", "parts")):
-            found = tuple(getattr(table, array).shape)
+            shape = tuple(getattr(table, array).shape)
             expected = (len(curves), len(getattr(extractor, part)))
-            if found != expected:
+            if shape != expected:
                 raise ValueError(
                     f"`{array}` of the feature set {extractor.kind!r} must have a row for each "
-                    f"curve and a column for each of its `{part}`, {expected}, got {found}"
+                    f"curve and a column for each of its `{part}`, {expected}, got {shape}"
                 )
         return table
 
@@ -175,8 +175,8 @@ class Problem:
         ValueError if the grid has fewer curves, or the healthy vehicle lacks a peak.
         """
         ratios = self.ratios(stream)
-        made = slice(0, len(ratios) if n_first is None else -(-n_first // BLOCK) * BLOCK)
-        ratios, asked = ratios[made], slice(0, n_first)
+        computed = slice(0, len(ratios) if n_first is None else -(-n_first // BLOCK) * BLOCK)
+        ratios, requested = ratios[computed], slice(0, n_first)
         healthy = self.healthy_features()
         values = np.empty((len(ratios), len(healthy)))
         extractor = self.extractor
@@ -199,7 +199,9 @@ class Problem:
         mass = [ratios[:, BODY_MASS_COLUMN]] if self.task.mass_known else []
         inputs = np.column_stack([values, *mass])
         outputs = ratios[:, self.task.output_indices]
-        return FeatureData(inputs[asked], outputs[asked], ratios[asked], reasons[asked])
+        return FeatureData(
+            inputs[requested], outputs[requested], ratios[requested], reasons[requested]
+        )
 
 
 @dataclass(frozen=True)
@@ -227,13 +229,13 @@ class FeatureData:
 
         The message says what is missing if the feature set is given as `extractor`.
         """
-        kept = self.valid
-        if not kept.any():
+        is_complete = self.valid
+        if not is_complete.any():
             texts = Counter(map(extractor.missing, self.reasons) if extractor is not None else ())
             usual = max(texts, key=texts.__getitem__, default="")  # what is missing most often
-            what = f": {usual}" if usual else ""
-            raise ValueError(f"none of the {len(kept)} curves has every feature{what}")
-        return self.subset(kept)
+            missing = f": {usual}" if usual else ""
+            raise ValueError(f"none of the {len(is_complete)} curves has every feature{missing}")
+        return self.subset(is_complete)
 
     def first(self, n_curves: int) -> FeatureData:
         """Return the first curves."""

@@ -110,8 +110,8 @@ class Task:
     @property
     def unknown(self) -> tuple[str, ...]:
         """Varied parameters that are not measured and have to be estimated."""
-        known = (BODY_MASS,) if self.mass_known else ()
-        return tuple(name for name in self.varied if name not in known)
+        measured = (BODY_MASS,) if self.mass_known else ()
+        return tuple(name for name in self.varied if name not in measured)
 
     @property
     def unknown_sets(self) -> list[tuple[str, ...]]:
@@ -124,14 +124,14 @@ class Task:
         A vehicle is of the first set outside of which it is healthy, else of none: then all
         parameters are unknown. Sets without a vehicle are left out.
         """
-        left, found = np.ones(len(ratios), dtype=bool), []
+        unassigned, sets = np.ones(len(ratios), dtype=bool), []
         for names, unknown in zip(self.varied_sets, self.unknown_sets, strict=True):
             others = [j for j, name in enumerate(PARAMETERS) if name not in names]
-            rows = left & (ratios[:, others] == 1).all(axis=1)
-            found.append((unknown, rows))
-            left = left & ~rows
-        found.append((self.unknown, left))
-        return [(unknown, rows) for unknown, rows in found if rows.any()]
+            rows = unassigned & (ratios[:, others] == 1).all(axis=1)
+            sets.append((unknown, rows))
+            unassigned = unassigned & ~rows
+        sets.append((self.unknown, unassigned))
+        return [(unknown, rows) for unknown, rows in sets if rows.any()]
 
     @property
     def used_responses(self) -> list[int]:
@@ -371,25 +371,25 @@ class Protocol:
         if self.feature_set == "peaks":
             return PeakFeatures(peaks=tuple(entry["peaks"]), **self.features)
         registered = FEATURE_SETS[self.feature_set]
-        given = self.feature_settings or {}
-        known = [one.name for one in fields(registered)]
-        unknown = sorted(set(given) - set(known))
+        settings = self.feature_settings or {}
+        names = [declared.name for declared in fields(registered)]
+        unknown = sorted(set(settings) - set(names))
         if unknown:
             raise ValueError(
                 f"`feature_settings.{unknown[0]}` is no setting of {registered.kind}, only "
-                f"{', '.join(known)}"
+                f"{', '.join(names)}"
             )
-        found: FeatureSet = registered(**given)
-        return found
+        feature_set: FeatureSet = registered(**settings)
+        return feature_set
 
     def _mass_range(self) -> tuple[float, float]:
         low = self.lower if self.mass_lower is None else self.mass_lower
         return low, self.upper if self.mass_upper is None else self.mass_upper
 
 
-def _known(names: Sequence[str], allowed: Sequence[str], what: str) -> Sequence[str]:
+def _known(names: Sequence[str], allowed: Sequence[str], key: str) -> Sequence[str]:
     if not names or any(name not in allowed for name in names) or len(set(names)) < len(names):
         raise ValueError(
-            f"`{what}` must be chosen from {tuple(allowed)}, each once, got {list(names)}"
+            f"`{key}` must be chosen from {tuple(allowed)}, each once, got {list(names)}"
         )
     return names

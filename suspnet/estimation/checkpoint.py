@@ -23,7 +23,7 @@ from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.fitted import Model, ModelFileError
 from suspnet.estimation.flags import OODDetector, Unexplained
 from suspnet.estimation.intervals import Intervals
-from suspnet.estimation.temperature import NOTE, DampingByTemperature
+from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.validity import check_arrays, check_model, check_numbers, check_same
 from suspnet.ground.storage import (
@@ -43,8 +43,6 @@ from suspnet.learning import METHODS, Scaling
 from suspnet.vehicle import GENERATORS, SpatialVehicle, Vehicle
 
 SCHEMA_VERSION = 10
-OLDEST_SCHEMA = 8
-"""Oldest version of model.json that is read: `_migrated` adds what later ones have."""
 FEATURES = "features."
 """Name prefix of the feature set's arrays."""
 CALIBRATED: dict[str, tuple[str, Any]] = {
@@ -226,7 +224,6 @@ def load_model(folder: Path | str, device: str = "cpu") -> TrainedModel | BogieM
         content = read_json(path)
         _check_description(path, content)
         arrays = read_arrays(folder / "model.safetensors", content["arrays_sha256"])
-        content = _migrated(content)
         return _checked(content, {} if content["model"] == BOGIE else arrays, device)
     except ModelFileError:
         raise
@@ -269,10 +266,10 @@ def parameters(estimator: Any) -> dict[str, Any]:
 def _check_description(path: Path, content: Any) -> None:
     if not isinstance(content, dict) or "schema_version" not in content:
         raise ModelFileError(f"{path} is not a suspnet model: it has no schema_version")
-    if content["schema_version"] not in range(OLDEST_SCHEMA, SCHEMA_VERSION + 1):
+    if content["schema_version"] != SCHEMA_VERSION:
         raise ModelFileError(
             f"{path} has schema version {content['schema_version']}, this suspnet reads "
-            f"{OLDEST_SCHEMA} to {SCHEMA_VERSION}; train again"
+            f"{SCHEMA_VERSION}; train again"
         )
     claimed = content.pop("description_sha256", None)
     if claimed != content_hash(content):
@@ -287,44 +284,6 @@ def _check_description(path: Path, content: Any) -> None:
         raise ModelFileError(
             f"{path}: unknown feature set {kind!r}; {OWN.format('register_features')}"
         )
-
-
-def _migrated(content: dict[str, Any]) -> dict[str, Any]:
-    """Return the content of model.json of any version that is read as one of this version."""
-    version = content["schema_version"]
-    if version == SCHEMA_VERSION:
-        return content
-    settings = dict(content["settings"])
-    settings.pop("cache_dir")  # up to 9: a folder of cached features, and short waves of the rail
-    if settings.pop("short_waves", False):
-        raise ModelFileError("models of short_waves=true are no longer read; train again")
-    content = content | {"settings": settings, "schema_version": SCHEMA_VERSION}
-    bogie = content.pop("bogie", None)
-    if bogie is not None:  # up to 9: it lay beside a fitted method, which is not needed
-        law = content["training"].get("commissioned", {}).get(NOTE)
-        kept = ("schema_version", "suspnet_version", "generator", "settings", "training")
-        own = {key: content[key] for key in (*kept, "arrays_sha256")}
-        return own | {"model": BOGIE, "bogie": bogie | {"law": law}}
-    if content["model"] == "msvr":  # up to 9: whether processes shared the fit, and its precision
-        parameters = dict(content["parameters"])
-        parameters.pop("distributed")
-        if parameters.pop("dtype") != "float64":
-            raise ModelFileError("models of dtype=float32 are no longer read; train again")
-        content = content | {"parameters": parameters}
-    return _of_version_9(content) if version < 9 else content
-
-
-def _of_version_9(content: dict[str, Any]) -> dict[str, Any]:
-    task = dict(content["task"])
-    task |= {"varied_sets": [task.pop("varied")], "test_sampling": task["sampling"]}
-    task |= {"standardised": True}
-    settings = dict(content["settings"])
-    if settings["kind"] == "curves":
-        settings |= {"noise_on": "magnitude"}
-    parameters = dict(content["parameters"])
-    if content["model"] == "msvr":
-        parameters |= {"solver": "newton"}
-    return content | {"task": task, "settings": settings, "parameters": parameters}
 
 
 def _build(
@@ -386,7 +345,7 @@ def _taken(arrays: dict[str, FloatArray], prefix: str) -> dict[str, FloatArray]:
 
 
 def _tagged(value: Any, kinds: Mapping[str, type]) -> dict[str, Any]:
-    kind = next(name for name, one in kinds.items() if type(value) is one)
+    kind = next(name for name, settings_class in kinds.items() if type(value) is settings_class)
     return {"kind": kind, **asdict(value)}
 
 

@@ -86,12 +86,12 @@ class DampingNumbers:
         numbers[:, self._told] += torch.as_tensor(self._deviation[self._told]) * standard
         slopes, shapes = numbers[:, : len(DAMPINGS)], numbers[:, len(DAMPINGS) :]
         warmed: Tensor = (slopes * self._warmer[group]).exp()
-        found = []
+        columns = []
         for name, i in CHANGING.items():
             ends = float(self._velocities[group, i]), float(self._healthy[i])
             factor = torch.stack(linear(shapes, name, *ends)).sum(dim=0)
-            found.append(factor * warmed[:, i] if name in DAMPINGS else factor)
-        return torch.stack(found, dim=1)
+            columns.append(factor * warmed[:, i] if name in DAMPINGS else factor)
+        return torch.stack(columns, dim=1)
 
     def laws(self, standard: FloatArray, covariance: FloatArray) -> Laws:
         """Return the laws at coordinates (len,) with their posterior covariance (len, len)."""

@@ -183,15 +183,17 @@ class HealthyValues:
     ) -> HealthyValues:
         """Return the healthy values of a generator's vehicle."""
         nominal = dict(zip(PARAMETERS, generator.vehicle.healthy_values(), strict=True))
-        known = generator.distribution or LogNormal((), (), ())
-        covariance = np.array(known.covariance).reshape(2 * (len(known.names),))
+        distribution = generator.distribution or LogNormal((), (), ())
+        covariance = np.array(distribution.covariance).reshape(2 * (len(distribution.names),))
         values, deviations = [], []
         for name in names:
             # a part differs by a factor of its own from the mean of its kind
-            factors = {f"{HEALTHY}{kind_of(name)}", f"{HEALTHY}{name}"} & set(known.names)
-            of = [known.names.index(factor) for factor in sorted(factors)]
+            factors = {f"{HEALTHY}{kind_of(name)}", f"{HEALTHY}{name}"} & set(distribution.names)
+            of = [distribution.names.index(factor) for factor in sorted(factors)]
             share = AXLE_SHARE if "_axle" in name else 1.0
-            values.append(share * nominal[kind_of(name)] * math.exp(sum(known.mean[i] for i in of)))
+            values.append(
+                share * nominal[kind_of(name)] * math.exp(sum(distribution.mean[i] for i in of))
+            )
             deviations.append(math.sqrt(max(0.0, covariance[np.ix_(of, of)].sum())))
         return cls(tuple(names), np.array(values), np.array(deviations))
 
@@ -260,5 +262,7 @@ class Flags:
 
     def without(self, *kinds: str) -> Flags:
         """Return the flags without those of some ``KINDS``."""
-        kept = [tuple(one for one in reasons if one[0] not in kinds) for reasons in self.given]
-        return Flags(tuple(kept))
+        others = [
+            tuple(reason for reason in reasons if reason[0] not in kinds) for reasons in self.given
+        ]
+        return Flags(tuple(others))

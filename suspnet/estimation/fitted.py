@@ -169,8 +169,8 @@ class FittedMethod(Model):
             raise ValueError("`inputs` must be positive and finite; leave out missing peaks")
         scaled = self.regressed(self.input_scaling.apply(inputs))
         with np.errstate(over="ignore"):  # beyond the bounds even if it is infinite
-            found = self.output_scaling.undo(scaled)
-        return self.task.bounded(found)
+            ratios = self.output_scaling.undo(scaled)
+        return self.task.bounded(ratios)
 
     def regressed(self, scaled: FloatArray) -> FloatArray:
         """Return scaled estimates (n_curves, n_outputs) of the method from scaled inputs.

@@ -41,32 +41,25 @@ from suspnet.ground.types import BoolArray, ComplexArray, FloatArray
 INCOMPLETE = 1.09
 """Misfit of the healthy trips above which the physics is considered incomplete.
 
-Three trips of vehicles within the model family gave 0.94 to 1.06, fitted without their axle
-guidance 1.2, those of one with a second bending mode 5.8 and more (tests/rich_train.py). Five trips
-of a vehicle whose dampers blow off gave 1.095 (unflagged, the intervals of c_s held in 71 % of 17
-of its 30 worn trips), of one with sensors on one side 1.083.
+Vehicles within the model family stay below it, missing physics exceeds it (docs/methods.md).
 """
 COSTLY = 0.05
 """Cost of an output above which the physics is considered incomplete, unless all is noise.
 
-Trains within the model family cost 0.1 % with sensor pairs and 3 % with sensors on one side;
-dampers that blow off leave a misfit of only 1.1 and cost more than this
-(benchmarks/mismatch.py).
+Dampers that blow off hardly raise the misfit, but cost more than this (docs/methods.md).
 """
 ALL_NOISE = 1.0
 """Misfit up to which the residual is noise alone, whatever the cost.
 
 Short trips with sensors on one side are so noisy that their mean residual, to which noise
-contributes, can cost more than ``COSTLY``; the intervals include it (five trips of 5 minutes had a
-misfit of 0.95 and a cost of c_p of 8 %).
+contributes, can cost more than ``COSTLY``; the intervals include it.
 """
 UNTRUSTED = 5.0
 """Misfit of the healthy trips above which intervals do not hold in spite of the residual's cost:
 every estimate is flagged."""
 WORN = 2.0
-"""Model error on worn vehicles over that on healthy ones, which the fit minimises: with this factor
-90 % intervals of worn trains with a second bending mode hold in 82 to 100 %, with 1 only in
-53 to 95 %."""
+"""Model error on worn vehicles over that on healthy ones, which the fit minimises. With 1 the
+intervals of worn vehicles with incomplete physics would be too narrow (docs/methods.md)."""
 
 
 @dataclass(frozen=True)
@@ -238,7 +231,7 @@ class OODDetector:
             distances[complete] = self.distances(inputs[complete])
         # (n_curves, n_unknown)
         outside = np.stack([_outside(task, name, refined) for name in refined.names], axis=1)
-        given = []
+        rows = []
         for i, (words, distance, misfit) in enumerate(
             zip(missing, distances, refined.misfit, strict=True)
         ):
@@ -263,8 +256,8 @@ class OODDetector:
                         ),
                     )
                 )
-            given.append(tuple(reasons))
-        return Flags(tuple(given))
+            rows.append(tuple(reasons))
+        return Flags(tuple(rows))
 
     def _far(self, task: Task, inputs: FloatArray, distance: float) -> str:
         low, high = self.reference.min(axis=0), self.reference.max(axis=0)

@@ -51,10 +51,10 @@ def estimate_curves(
     values = predicted
     if method.refined and refined is not None:
         values, deviations = refined.of(task.outputs)
-        known = np.asarray(np.isfinite(deviations).all(axis=1))
-        if not known.any():
+        is_identified = np.asarray(np.isfinite(deviations).all(axis=1))
+        if not is_identified.any():
             identified(task, refined)
-        values = np.where(known[:, None], values, np.nan)
+        values = np.where(is_identified[:, None], values, np.nan)
     low = high = np.full_like(values, np.nan)
     if method.intervals is not None:
         scales = residual_scales(method, inputs, values, refined)
@@ -164,11 +164,11 @@ def residual_scales(
     if intervals.residual_scale is None:
         assert refined is not None
         return refined.of(method.task.outputs)[1]
-    known = method.with_estimates(inputs, estimates)
-    complete = np.isfinite(known).all(axis=1)
+    predictors = method.with_estimates(inputs, estimates)
+    complete = np.isfinite(predictors).all(axis=1)
     values = np.full((len(inputs), len(method.task.outputs)), np.nan)
     if complete.any():
-        values[complete] = intervals.residual_scale.predict(known[complete])
+        values[complete] = intervals.residual_scale.predict(predictors[complete])
     return values
 
 
@@ -185,11 +185,11 @@ def _fit_curves(
             f"model={method.name} fits magnitudes with white noise; it cannot be used with "
             "data=trips"
         )
-    known = torch.empty(len(curves), 0) if mass is None else as_tensor(mass)[:, None]
+    measured = torch.empty(len(curves), 0) if mass is None else as_tensor(mass)[:, None]
     solutions = method.estimator.fit_curves(
         [(functools.partial(_magnitudes, observer, task, s), len(s)) for s in task.unknown_sets],
         curves[:, task.used_responses],
-        known.to(curves),
+        measured.to(curves),
         task.lower,
         task.upper,
     )
@@ -203,12 +203,12 @@ def _fit_curves(
 
 
 def _magnitudes(
-    observer: Observer, task: Task, unknown: Sequence[str], values: Tensor, known: Tensor
+    observer: Observer, task: Task, unknown: Sequence[str], values: Tensor, measured: Tensor
 ) -> Tensor:
     """Return the responses that a task uses of vehicles with these values of unknown parameters."""
     columns = dict(zip(unknown, values.unbind(1), strict=True))
     if task.mass_known:
-        columns[BODY_MASS] = known[:, 0]
+        columns[BODY_MASS] = measured[:, 0]
     healthy = torch.ones_like(values[:, 0])
     ratios = torch.stack([columns.get(name, healthy) for name in PARAMETERS], dim=1)
     magnitudes = observer.generator.magnitudes(ratios, observer.frequencies_hz)

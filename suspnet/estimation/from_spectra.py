@@ -140,7 +140,7 @@ def estimate_with_noise(
         values = predicted[0]
         expected = observer.expected(ratios)
         mean = CrossSpectra(expected.auto[0], expected.cross[0], expected.n_averages)
-        noise_0, noise = (_noise(method, observer, drawn) for drawn in (mean, spectra))
+        noise_0, noise = (_noise(method, observer, source) for source in (mean, spectra))
         lasting = _lasting(usual * _residual_scale(method, inputs, predicted), noise_0)
     if method.unexplained is not None:
         unworn = unworn_deviations(outputs, values, method.vehicle.primary_friction_share)
@@ -152,8 +152,8 @@ def estimate_with_noise(
     estimate = replace(estimate, found=failure, misfit=float(refined.misfit[0]))
     law = DampingByVelocity.noted(method.training)
     if law is not None:
-        own = relative_velocities(spectra, observer.frequencies_hz)
-        estimate = law.compared(estimate, own.tolist())
+        velocities = relative_velocities(spectra, observer.frequencies_hz)
+        estimate = law.compared(estimate, velocities.tolist())
     return estimate, 1 - np.divide(lasting, spread**2, out=np.zeros_like(lasting), where=spread > 0)
 
 
@@ -228,24 +228,24 @@ def _refined(
     misfit = observer.measured_misfit(spectra)
     if not misfit.covariance.diagonal(dim1=1, dim2=2).real.isfinite().any():
         raise NoEstimateError(INCOHERENT)
-    best, found = refine(method.task, misfit, predicted, directions=observer.directions), ""
+    best, failure = refine(method.task, misfit, predicted, directions=observer.directions), ""
     usual = observer.generator
     if not isinstance(usual, VerticalVehicle) or usual.distribution is None:
-        return best, found
+        return best, failure
     healthy = 1.0 if method.unexplained is None else method.unexplained.misfit
     if float(best.misfit[0]) < FAILED_FROM * max(1.0, healthy):
-        return best, found
+        return best, failure
     if not set(OF_THE_TRIP) <= set(usual.distribution.names):
-        return best, found
+        return best, failure
     for words, changes in FAILED_OTHER.items():
         failed = usual.distribution.renewed(OF_THE_TRIP, changes, FAILED_DEVIATION)
         other = observer.of(replace(usual, distribution=failed))
-        one = refine(
+        fit = refine(
             method.task, other.measured_misfit(spectra), predicted, directions=other.directions
         )
-        if float(one.misfit[0]) < float(best.misfit[0]) / FAILED_GAIN:
-            best, found = one, Finding("other-bogie-failed", words=words)
-    return best, found
+        if float(fit.misfit[0]) < float(best.misfit[0]) / FAILED_GAIN:
+            best, failure = fit, Finding("other-bogie-failed", words=words)
+    return best, failure
 
 
 def _residual_scale(method: FittedMethod, inputs: FloatArray, predicted: FloatArray) -> FloatArray:
@@ -268,8 +268,8 @@ def _as_in_training(refined: Refined, share: float) -> Refined:
 
 def _noise(method: FittedMethod, observer: EstimateObserver, spectra: CrossSpectra) -> FloatArray:
     """Return the spread of the estimates' logarithms over draws of some spectra, (n_outputs,)."""
-    drawn = observer.observe_again(spectra, N_DRAWS, seed=0)
-    inputs = method.features(observer.for_features(drawn), observer.frequencies_hz)[0]
+    responses = observer.observe_again(spectra, N_DRAWS, seed=0)
+    inputs = method.features(observer.for_features(responses), observer.frequencies_hz)[0]
     inputs = inputs[np.isfinite(inputs).all(axis=1)]
     if len(inputs) < N_DRAWS // 2:
         return np.full(len(method.task.outputs), np.inf)

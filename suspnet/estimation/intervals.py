@@ -36,9 +36,8 @@ PENALTY = 0.1
 N_COMPONENTS = 512
 COMMON = 1.3
 """Factor on the lasting errors of a commissioned vehicle: the error that healthy trips leave is a
-single draw for all later trips. Without it 90 % intervals hold in 90 % of the trips of many
-vehicles, but in far fewer of those of a vehicle with a bad draw. With 1.8 they held in all trips
-of most trains: they were too wide."""
+single draw for all later trips, so without the factor the intervals of a vehicle with a bad draw
+hold in too few trips (docs/methods.md)."""
 LARGEST_MISFIT = 3.0
 """Misfit of a trip, over that of the healthy trips if it is larger than 1, up to which its curve is
 explained: the misfit then widens the interval, above it the trip has no estimate."""

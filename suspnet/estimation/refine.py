@@ -45,8 +45,7 @@ TEMPERATURES = (100.0, 10.0)
 """Factors on the noise of the searches before the last one, used if the effect exceeds ``WIDE``."""
 WIDE = 50.0
 """Largest effect of uncertain numbers, in deviations of the noise, for a single search: above it
-the search may end far off. The effect is about 60 for a commissioned vehicle of rigid bodies, and
-145 for one of all parts: single searches ended in other valleys for 5 of 16 drawn vehicles."""
+the search may end in another valley. Commissioned vehicles exceed it (docs/methods.md)."""
 ROUGH_ITER, ROUGH_TOL = 12, 1e-2
 """Iterations and tolerance of the searches before the last one."""
 LEAST_DECREASE = 0.01
@@ -155,14 +154,14 @@ def refine(
     every = torch.arange(len(full), device=device)
     wide = directions is not None and directions.strongest > WIDE
     search_from = functools.partial(search.tempered, near) if wide else search.run
-    found = search_from(every, search.point(full))
+    refined = search_from(every, search.point(full))
     # a second search for curves that are not explained, as the first may end in another valley
-    bad = np.flatnonzero(~found.converged | ~(found.misfit < UNEXPLAINED) | ~usable)
+    bad = np.flatnonzero(~refined.converged | ~(refined.misfit < UNEXPLAINED) | ~usable)
     if len(bad):
         rows = torch.as_tensor(bad, device=device)
         again = search_from(rows, search.nearest(bad, n_scattered))
-        found = found.improved(bad, again)
-    return found
+        refined = refined.improved(bad, again)
+    return refined
 
 
 class _Search:
@@ -256,7 +255,7 @@ class _Search:
             accelerated=last and bool(self.n_directions),
         )
         return solver.minimise(
-            lambda point, which: self._residual(point, rows[which], temperature), start
+            lambda point, at: self._residual(point, rows[at], temperature), start
         )
 
     def _residual(self, point: Tensor, rows: Tensor, temperature: float) -> Tensor:

@@ -105,12 +105,13 @@ class DampingByVelocity:
         object.__setattr__(self, "covariance", rows)
 
     def __str__(self) -> str:
-        primary, secondary = (1000 * one for one in self.healthy_m_per_s)
+        primary, secondary = (1000 * velocity for velocity in self.healthy_m_per_s)
         losses = []
         for name, i in CHANGING.items():
             healthy = self.healthy_m_per_s[i]
-            left = torch.stack(linear(self.drawn(), name, FASTER * healthy, healthy)).sum(dim=0)
-            low, high = np.quantile(100 * (1 - left.numpy()), [0.05, 0.95])
+            parts = linear(self.draws(), name, FASTER * healthy, healthy)
+            remaining = torch.stack(parts).sum(dim=0).numpy()
+            low, high = np.quantile(100 * (1 - remaining), [0.05, 0.95])
             losses.append(Finding("loss", name=name, low=max(low, 0.0), high=max(high, 0.0)))
         return Finding(
             "compared-at-velocities",
@@ -126,7 +127,7 @@ class DampingByVelocity:
         note = training.get("commissioned", {}).get(NOTE)
         return cls(**note) if note else None
 
-    def drawn(self) -> Tensor:
+    def draws(self) -> Tensor:
         """Return draws of the numbers, (n_draws, 5)."""
         power, vectors = np.linalg.eigh(np.array(self.covariance))
         spread = _standard() @ (vectors * np.sqrt(np.clip(power, 0.0, None))).T
@@ -138,17 +139,14 @@ class DampingByVelocity:
         `velocities_m_per_s` are the trip's sigma of each suspension, from `relative_velocities`.
         """
         values, low, high = (part.copy() for part in (estimate.values, estimate.low, estimate.high))
-        z, numbers = norm.ppf((1 + estimate.level) / 2), self.drawn()
+        z, numbers = norm.ppf((1 + estimate.level) / 2), self.draws()
         springs: FloatArray = np.ones(len(values))
         for name, i in CHANGING.items():
             if name not in estimate.names:
                 continue
-            j, own, healthy = (
-                estimate.names.index(name),
-                velocities_m_per_s[i],
-                self.healthy_m_per_s[i],
-            )
-            slope, offset = (part.numpy()[:, None] for part in linear(numbers, name, own, healthy))
+            j = estimate.names.index(name)
+            law = linear(numbers, name, velocities_m_per_s[i], self.healthy_m_per_s[i])
+            slope, offset = (part.numpy()[:, None] for part in law)
             offset = offset * springs
             logs = np.log(np.maximum((estimate.values[:, j] - offset) / slope, LEAST_RATIO))
             values[:, j] = np.exp(logs.mean(axis=0))

@@ -79,8 +79,8 @@ class DampingByTemperature:
             return estimate
         warmer = temperature_c - self.healthy_c
         values, low, high = (part.copy() for part in (estimate.values, estimate.low, estimate.high))
-        known = norm.ppf((1 + estimate.level) / 2) * abs(warmer) * np.array(self.deviations)
-        own_law = dict(zip(DAMPINGS, zip(self.slopes, known, strict=True), strict=True))
+        half_widths = norm.ppf((1 + estimate.level) / 2) * abs(warmer) * np.array(self.deviations)
+        own_law = dict(zip(DAMPINGS, zip(self.slopes, half_widths, strict=True), strict=True))
         for j, name in enumerate(estimate.names):
             if kind_of(name) not in own_law:
                 continue
@@ -88,8 +88,8 @@ class DampingByTemperature:
             values[:, j] *= np.exp(-slope * warmer)
             for end, sign in ((low, -1), (high, 1)):
                 with np.errstate(divide="ignore", over="ignore"):  # an interval may reach 0
-                    own = np.log(end[:, j] / estimate.values[:, j])
-                    end[:, j] = values[:, j] * np.exp(sign * np.hypot(own, half))
+                    log_ratio = np.log(end[:, j] / estimate.values[:, j])
+                    end[:, j] = values[:, j] * np.exp(sign * np.hypot(log_ratio, half))
         return replace(estimate, values=values, low=low, high=high)
 
 
@@ -98,8 +98,10 @@ def kelvins_warmer(temperatures_c: Sequence[float | None]) -> tuple[float | None
 
     The mean is None if none is known; the difference of a trip of unknown temperature is 0.
     """
-    known = [one for one in temperatures_c if one is not None]
-    if not known:
+    measured = [temperature_c for temperature_c in temperatures_c if temperature_c is not None]
+    if not measured:
         return None, [0.0] * len(temperatures_c)
-    mean = float(np.mean(known))
-    return mean, [0.0 if one is None else one - mean for one in temperatures_c]
+    mean = float(np.mean(measured))
+    return mean, [
+        0.0 if temperature_c is None else temperature_c - mean for temperature_c in temperatures_c
+    ]

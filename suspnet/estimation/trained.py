@@ -95,8 +95,8 @@ class TrainedModel(FittedMethod):
             return estimate
         observer = self.settings.observer(self.generator)
         curves = _checked_curves(data, frequencies_hz, observer.frequencies_hz)
-        known = self._checked_mass(mass, curves)
-        return estimate_curves(self, observer, curves.to(self.generator.device), level, known)
+        mass_ratios = self._checked_mass(mass, curves)
+        return estimate_curves(self, observer, curves.to(self.generator.device), level, mass_ratios)
 
     def _checked_mass(self, mass: ArrayLike | None, curves: Tensor) -> np.ndarray | None:
         if self.task.mass_known != (mass is not None):
@@ -122,12 +122,11 @@ def _checked_curves(
     values = values.to(torch.complex128 if values.is_complex() else torch.float64)
     values = values[None] if values.ndim == 2 else values
     if frequencies_hz is not None:
-        given = as_tensor(frequencies_hz)
-        own = bins.cpu()
-        if given.shape != own.shape or not torch.allclose(given, own, rtol=0, atol=SAME_BIN_HZ):
+        hertz, own = as_tensor(frequencies_hz), bins.cpu()
+        if hertz.shape != own.shape or not torch.allclose(hertz, own, rtol=0, atol=SAME_BIN_HZ):
             raise ValueError(
                 f"`frequencies_hz` must be the {len(own)} bins of the model, {float(own[0]):g} to "
-                f"{float(own[-1]):g} Hz: model.settings.frequencies_hz(); got {given.numel()} bins"
+                f"{float(own[-1]):g} Hz: model.settings.frequencies_hz(); got {hertz.numel()} bins"
             )
     if values.ndim != 3 or tuple(values.shape[1:]) != (2, len(bins)):
         raise ValueError(

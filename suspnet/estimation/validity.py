@@ -143,10 +143,10 @@ def _check_calibration(model: TrainedModel, n_inputs: int, n_outputs: int) -> No
             raise ValueError(f"the intervals are not those of {n_outputs} outputs")
         residual_scale = intervals.residual_scale
         if residual_scale is not None:
-            known = n_outputs if model.estimator.works_on_curves else n_inputs + n_outputs
-            found = residual_scale.predict(np.zeros((1, known)))
-            if not (found < LARGEST_RATIO).all():
-                raise ValueError(f"the residual scale predicts {found[0].tolist()}")
+            n_columns = n_outputs if model.estimator.works_on_curves else n_inputs + n_outputs
+            scales = residual_scale.predict(np.zeros((1, n_columns)))
+            if not (scales < LARGEST_RATIO).all():
+                raise ValueError(f"the residual scale predicts {scales[0].tolist()}")
     if ood is not None:
         if len(ood.reference) and ood.reference.shape[1] != n_inputs:
             raise ValueError(f"the reference of the OOD detector is not of {n_inputs} inputs")
@@ -202,22 +202,22 @@ def _check_training(training: Any) -> None:
 def _check_place(place: Any) -> None:
     if place is None:
         return
-    names = {one.name for one in fields(Place)}
+    names = {field.name for field in fields(Place)}
     if not isinstance(place, dict) or set(place) != names:
         raise TypeError(f"`training.commissioned.place` must be a mapping of {sorted(names)}")
     if not all(isinstance(text, str) for text in place.values()):
         raise TypeError("`training.commissioned.place` must hold text")
 
 
-def check_same(given: Any, built: Any, where: str = "model.json") -> None:
+def check_same(stated: Any, built: Any, where: str = "model.json") -> None:
     """Raise ValueError unless a description agrees with that of the model built from it."""
-    if isinstance(given, dict) and isinstance(built, dict):
-        for key, value in given.items():
+    if isinstance(stated, dict) and isinstance(built, dict):
+        for key, value in stated.items():
             if key not in built:
                 raise ValueError(f"`{where}.{key}` is unknown")
             check_same(value, built[key], f"{where}.{key}")
-    elif isinstance(given, list) and isinstance(built, list) and len(given) == len(built):
-        for i, pair in enumerate(zip(given, built, strict=True)):
+    elif isinstance(stated, list) and isinstance(built, list) and len(stated) == len(built):
+        for i, pair in enumerate(zip(stated, built, strict=True)):
             check_same(*pair, f"{where}[{i}]")
-    elif type(given) is not type(built) or given != built:
-        raise ValueError(f"`{where}` is {given!r}, expected {built!r}")
+    elif type(stated) is not type(built) or stated != built:
+        raise ValueError(f"`{where}` is {stated!r}, expected {built!r}")

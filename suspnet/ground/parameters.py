@@ -56,9 +56,9 @@ def part_words(name: str) -> str:
     """
     if name not in BOGIE_PARTS:
         return name
-    what = "damper" if name[0] == "c" else "spring"
+    kind = "damper" if name[0] == "c" else "spring"
     where = place_words(name)
-    return f"{what} of {where}" if "axle" in name else f"secondary {what}, {where}"
+    return f"{kind} of {where}" if "axle" in name else f"secondary {kind}, {where}"
 
 
 def condensed(names: Iterable[str]) -> list[str]:
@@ -80,7 +80,9 @@ KIND_NAMES = {
     "c_s": "damping of the secondary damper",
     BODY_MASS: "mass of the car body",
 }
-NAMES = KIND_NAMES | {one: f"{KIND_NAMES[kind_of(one)]}, {place_words(one)}" for one in BOGIE_PARTS}
+NAMES = KIND_NAMES | {
+    part: f"{KIND_NAMES[kind_of(part)]}, {place_words(part)}" for part in BOGIE_PARTS
+}
 UNITS = {name: "N s/m" if name[0] == "c" else "N/m" for name in ESTIMATED} | {BODY_MASS: "kg"}
 """SI unit of each parameter."""
 Direction = Literal["forward", "reverse"]
@@ -118,8 +120,6 @@ class Cause(StrEnum):
     """A parameter is beyond a limit."""
     CHANGE = "change"
     """A parameter has changed from its reference trips."""
-    SISTER = "sister"
-    """A parameter differs from that of the sister suspensions of the car."""
     SENSOR = "sensor"
     """A sensor differs from its first trips; the alarm's parameter is its name."""
 
@@ -261,14 +261,16 @@ def limits_words(limits: Mapping[str, Limits]) -> str:
     A part is named only if its limits are not those of its parameter.
     """
     alike: dict[Limits, list[str]] = {}
-    for name, own in limits.items():
-        if name == kind_of(name) or own != limits.get(kind_of(name)):
-            alike.setdefault(own, []).append(name)
+    for name, of_part in limits.items():
+        if name == kind_of(name) or of_part != limits.get(kind_of(name)):
+            alike.setdefault(of_part, []).append(name)
     parts = [
         of(
             ", ".join(names),
-            Finding("with-reason", words=str(own), reason=own.why) if own.why else str(own),
+            Finding("with-reason", words=str(shared), reason=shared.why)
+            if shared.why
+            else str(shared),
         )
-        for own, names in alike.items()
+        for shared, names in alike.items()
     ]
     return together(parts) or "none"

@@ -37,7 +37,9 @@ def bar(
     """
     if shown and sys.stderr.isatty():
         form = None if unit else "{desc}: {elapsed}"
-        return tqdm(items, title, total, unit=unit, bar_format=form)
+        return tqdm(
+            items, title, total, unit=unit, bar_format=form, leave=False, dynamic_ncols=True
+        )
     count = "{desc}: {n_fmt} of {total_fmt} [{elapsed}<{remaining}]"
     interval_s = INTERVAL_S if shown else math.inf
     return tqdm(
@@ -60,7 +62,7 @@ class _LogStream:
 
     def write(self, text: str) -> int:
         if not MOVES.fullmatch(text) and text.strip():
-            log.info("%s", text.strip())
+            log.info("%s", text.strip().removesuffix(" [00:00<?]").removesuffix(" [00:00]"))
         return len(text)
 
     def flush(self) -> None:
@@ -92,17 +94,17 @@ def on_stderr(before: str = "") -> Iterator[None]:
     """
     root = logging.getLogger()
     consoles = [h for h in root.handlers if getattr(h, "stream", None) is sys.stdout]
-    own = logging.StreamHandler(sys.stderr)
-    own.setFormatter(LineFormatter(f"{before}%(message)s"))
-    own.addFilter(logging.Filter(log.name))
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(LineFormatter(f"{before}%(message)s"))
+    handler.addFilter(logging.Filter(log.name))
     for console in consoles:
         console.addFilter(_is_result)
-    root.addHandler(own)
+    root.addHandler(handler)
     log.setLevel(logging.INFO)
     try:
         yield
     finally:
-        root.removeHandler(own)
+        root.removeHandler(handler)
         for console in consoles:
             console.removeFilter(_is_result)
 

@@ -236,7 +236,7 @@ class TripResult:
         return {name: flat[name] for name in columns}
 
 
-PLACE = tuple(one.name for one in fields(Place))
+PLACE = tuple(column.name for column in fields(Place))
 """Columns of a suspension's place; empty if unknown."""
 PLACE_FROM_TRAIN = ("train", "car", "suspension", "bogie", "side")
 """The same columns from the train down, as in the store and in tables of a fleet."""
@@ -259,7 +259,7 @@ VALUES = {
     "healthy_half_widths": "{}_healthy_half_width",
 }
 """Fields of ``TripResult`` with a number for each parameter, and the names of their columns."""
-QUALITY_TYPES = {one.name: str(one.type) for one in fields(Quality)}
+QUALITY_TYPES = {column.name: str(column.type) for column in fields(Quality)}
 """Columns of a trip's quality, with the names of their types."""
 
 

@@ -120,9 +120,9 @@ def settings_of(class_: Any) -> Mapping[str, Declared]:
     settings = {}
     for name, hint in hints.items():
         type_, note = get_args(hint)[:2] if get_origin(hint) is Annotated else (hint, None)
-        given = declared.get(name) or note
-        if isinstance(given, Setting):
-            settings[name] = _declared(name, type_, given)
+        declaration = declared.get(name) or note
+        if isinstance(declaration, Setting):
+            settings[name] = _declared(name, type_, declaration)
     return settings
 
 

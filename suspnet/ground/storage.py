@@ -174,7 +174,7 @@ def printable(text: str) -> str:
     Control characters other than newlines and tabs, marks of writing direction, and bytes that are
     not UTF-8 are escaped.
     """
-    return UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+    return UNPRINTABLE.sub(lambda match: match[0].encode("unicode_escape").decode(), text)
 
 
 def one_line(text: str) -> str:

@@ -233,18 +233,20 @@ def partial_cholesky(
     for _ in range(n_pivots):
         if len(pivots) == n_pivots or float(residual.mean()) <= kernel_tol:
             break
-        drawn = torch.multinomial(residual.cpu(), n_proposals, replacement=True, generator=source)
+        shares = residual.cpu()
+        rows = torch.multinomial(shares, n_proposals, replacement=True, generator=source)
         chances = torch.rand(n_proposals, generator=source, dtype=torch.float64)
-        drawn = drawn.to(X.device)
+        proposals = rows.to(X.device)
         factored = factor[: len(pivots)]
-        block = rbf_kernel(X[drawn], X[drawn], sigma) - factored[:, drawn].T @ factored[:, drawn]
+        explained = factored[:, proposals].T @ factored[:, proposals]
+        block = rbf_kernel(X[proposals], X[proposals], sigma) - explained
         # The block's diagonal must equal the residual that the draws are from, despite rounding.
-        block = torch.where(drawn[:, None] == drawn, residual[drawn], block)
+        block = torch.where(proposals[:, None] == proposals, residual[proposals], block)
         accepted, lower = _accept(block.cpu(), chances)
         # No more pivots than required: the factor has room for n_pivots rows.
         accepted = accepted[: n_pivots - len(pivots)]
         lower = lower[: len(accepted), : len(accepted)].to(X)
-        new = drawn[accepted.to(X.device)]
+        new = proposals[accepted.to(X.device)]
         columns = rbf_kernel(X[new], X, sigma) - factored[:, new].T @ factored
         rows = torch.linalg.solve_triangular(lower, columns, upper=False)
         factor[len(pivots) : len(pivots) + len(new)] = rows
@@ -277,7 +279,7 @@ def _landmarks(X: Tensor, landmarks: Tensor, sigma: float) -> LandmarkFeatures:
     """Return the feature map of landmarks without the null space of their kernel."""
     exact_landmarks = landmarks.double()
     values, vectors = torch.linalg.eigh(rbf_kernel(exact_landmarks, exact_landmarks, sigma))
-    kept = values > values[-1] * len(values) * torch.finfo(values.dtype).eps
-    whitening = vectors[:, kept] / values[kept].sqrt()
+    is_regular = values > values[-1] * len(values) * torch.finfo(values.dtype).eps
+    whitening = vectors[:, is_regular] / values[is_regular].sqrt()
     width = torch.tensor(float(sigma), dtype=X.dtype, device=X.device)
     return LandmarkFeatures(landmarks, whitening.to(X).contiguous(), width)

@@ -252,6 +252,11 @@ class Descent:
         if self.jacobian is not None:
             # along the step that the bounds leave: beyond them values overflow
             bend, is_slight = self.bend(rows, straight - before, hessian, damping)
+            # a parameter bent away from its bound by a hair would count as free, and shorten all
+            # further steps: the row would end short of its minimum (Bertsekas, SIAM J. Control
+            # Optim. 20, 1982)
+            low, high = self.bounds
+            bend = bend.masked_fill((straight <= low) | (straight >= high), 0.0)
             theta, solved = (straight + bend).clamp(*self.bounds), solved & is_slight
         values = self.residual(theta, rows)
         cost_before = _cost(self.values[rows])
@@ -344,12 +349,14 @@ def derivatives(
     unit_steps = size * torch.eye(theta.shape[1], dtype=theta.dtype, device=theta.device)
     columns, second = [], []
     for steps in unit_steps.split(max(1, AT_ONCE // n_rows)):
-        which = rows.repeat(len(steps))
-        above = residual((theta + steps[:, None]).flatten(0, 1), which).unflatten(0, (-1, n_rows))
+        repeated = rows.repeat(len(steps))
+        above = residual((theta + steps[:, None]).flatten(0, 1), repeated).unflatten(
+            0, (-1, n_rows)
+        )
         below = values
         if not one_sided:
             moved = (theta - steps[:, None]).flatten(0, 1)
-            below = residual(moved, which).unflatten(0, (-1, n_rows))
+            below = residual(moved, repeated).unflatten(0, (-1, n_rows))
         columns.append(above - below)
         bent = torch.zeros_like(columns[-1]) if one_sided else above + below - 2 * values
         second.append((bent * values).sum(dim=2))

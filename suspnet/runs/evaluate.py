@@ -16,8 +16,9 @@ from suspnet.runs.scores import (
     Metrics,
     draw_run,
     headline,
-    log_hyperparameters,
+    log_scores,
     report,
+    rms_percent,
     scores,
 )
 from suspnet.runs.tensorboard import RunLog
@@ -72,9 +73,11 @@ def evaluate(
         **scores(problem, model, outcome),
         "seconds": outcome.seconds,
         "run": str(folder),
+        "rms_percent": rms_percent(problem.task, outcome),
     }
     with RunLog(output, is_new=True) as run_log:
-        log_hyperparameters(run_log, metrics, model.training["parameters"])
+        # the models of a multirun may have different outputs
+        log_scores(run_log, metrics, model.training["parameters"], ("model", "group"))
         if figures:
             draw_run(problem, model, outcome, run_log, output / "figures")
     write_json(output / "metrics.json", metrics)

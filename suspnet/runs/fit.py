@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
-from collections.abc import Mapping
+import warnings
+from collections.abc import Iterator, Mapping
+from copy import deepcopy
 from dataclasses import asdict, is_dataclass, replace
 from typing import Any
+
+from sklearn.exceptions import ConvergenceWarning
 
 from suspnet.curves.problem import TRAIN, FeatureData, Problem
 from suspnet.curves.protocols import Task
@@ -22,6 +27,11 @@ from suspnet.runs.tensorboard import RunLog
 log = logging.getLogger(__name__)
 TOO_MANY_LOST = 0.02
 """Fraction of curves without one of their peaks above which a warning is logged."""
+SHARES = (32, 16, 8, 4)
+"""Divisors of the number of training curves in the fits that show the error by this number; all of
+them take half the time of the fit itself, or less."""
+LEAST_CURVES = 30
+"""Least number of curves in such a fit."""
 
 
 def method_name(estimator: Any) -> str:
@@ -50,9 +60,12 @@ def tune(problem: Problem, estimator: Any, search: GridSearch, run_log: RunLog) 
     n_settings = len(search.settings_of(name))
     title = f"search of settings for {name}"
     with progress_bar(title, n_settings, unit="setting", shown=problem.progress) as bar:
+        least = math.inf
 
         def report(setting: Mapping[str, Any], rmse: float) -> None:
-            run_log.scalars("search", {"rmse": rmse}, int(bar.n))
+            nonlocal least
+            least = min(least, rmse)
+            run_log.scalars("search", {"rmse": rmse, "least_rmse": least}, int(bar.n))
             bar.update()
 
         return search.run(
@@ -89,24 +102,53 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
     # methods that work on curves learn nothing: they fit the model's own curve to each
     if not flag(estimator, "works_on_curves"):
         data = problem.features(TRAIN)
-        kept = data.complete(problem.extractor)
-        n_made, n_kept = len(data.inputs), len(kept.inputs)
-        if 1 - n_kept / n_made > TOO_MANY_LOST:
+        complete = data.complete(problem.extractor)
+        n_made, n_complete = len(data.inputs), len(complete.inputs)
+        if 1 - n_complete / n_made > TOO_MANY_LOST:
             log.warning(
                 "%.1f %% of the training curves lack a feature and are left out; of peaks look at "
-                "figures/peaks.png and protocol.features (smoothing_hz, low_hz, high_hz)",
-                100 * (1 - n_kept / n_made),
+                "figures/peaks_*.png and protocol.features (smoothing_hz, low_hz, high_hz)",
+                100 * (1 - n_complete / n_made),
             )
         # scale, then fit: iterations and seconds are those of the fit alone
-        of_inputs, of_outputs = scalings(problem.task, kept)
+        of_inputs, of_outputs = scalings(problem.task, complete)
         model = replace(model, input_scaling=of_inputs, output_scaling=of_outputs)
         start = time.perf_counter()
-        with _FitProgress(estimator, name, run_log, n_kept, problem.progress):
-            estimator.fit(of_inputs.apply(kept.inputs), of_outputs.apply(kept.outputs))
+        with _FitProgress(estimator, name, run_log, n_complete, problem.progress):
+            estimator.fit(of_inputs.apply(complete.inputs), of_outputs.apply(complete.outputs))
         training["seconds"] = time.perf_counter() - start
-        training |= {"n_train": n_made, "n_train_complete": n_kept}
+        training |= {"n_train": n_made, "n_train_complete": n_complete}
     training |= _summary(estimator)
     return replace(model, training=training)
+
+
+def refitted(problem: Problem, model: TrainedModel) -> Iterator[tuple[int, TrainedModel]]:
+    """Yield the model when it learns from ever more of the training curves, and their numbers.
+
+    The scaling stays that of all curves, and the last model is the given one. A method that works
+    on curves learns from none.
+    """
+    if flag(model.estimator, "works_on_curves"):
+        return
+    assert model.input_scaling is not None
+    assert model.output_scaling is not None
+    kept = problem.features(TRAIN).complete(problem.extractor)
+    n_all = len(kept.inputs)
+    for share in SHARES:
+        part = kept.first(n_all // share)
+        if len(part.inputs) < LEAST_CURVES:
+            continue
+        estimator = deepcopy(model.estimator)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            try:
+                estimator.fit(
+                    model.input_scaling.apply(part.inputs), model.output_scaling.apply(part.outputs)
+                )
+            except ValueError:  # a registered method may need more curves
+                continue
+        yield len(part.inputs), replace(model, estimator=estimator)
+    yield n_all, model
 
 
 def scalings(task: Task, data: FeatureData) -> tuple[Scaling, Scaling]:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -15,82 +16,97 @@ from suspnet.runs.tables import (
     MODEL_TITLES,
     grouped,
     models_of,
-    table6_caption,
 )
 
-PAPER_COLOUR, OUR_COLOUR, BOUND_COLOUR = "0.75", "tab:blue", "black"
+BOUND_COLOUR = "black"
+FONT_POINTS = 12
+"""Size of all texts of a figure with one axis, which stays readable in a row of small images."""
+PEAKS = dict(zip(("primary", "secondary"), SUSPENSIONS, strict=True))
+"""Titles of the suspensions whose peaks are drawn."""
 
 
-def peak_fits(
-    frequencies_hz: FloatArray, curves: FloatArray, features: Mapping[str, float]
+@mpl.rc_context({"font.size": FONT_POINTS})
+def peak_fit(
+    frequencies_hz: FloatArray, curve: FloatArray, features: Mapping[str, float], suspension: str
 ) -> Figure:
-    """Draw noisy curves with their peaks: position, height and half-power width.
+    """Draw a noisy curve of a suspension with its peaks: position, height and half-power width.
 
-    `frequencies_hz`: (n_freq,); `curves`: (2, n_freq); `features`: values by name, peak_measure.
+    `frequencies_hz`, `curve`: (n_freq,); `features`: values by name, peak_measure.
     """
-    figure, axes = grid(1, 2)
-    for axis, title, curve in zip(axes[0], SUSPENSIONS, curves, strict=True):
-        axis.plot(frequencies_hz, curve, color="0.6", lw=0.8)
-        axis.set(title=title, xlabel="frequency [Hz]", ylabel="magnitude", xlim=(0, 15))
+    figure, axis = single()
+    draw_peaks(axis, frequencies_hz, curve, features, suspension)
+    return figure
+
+
+def draw_peaks(
+    axis: Axes,
+    frequencies_hz: FloatArray,
+    curve: FloatArray,
+    features: Mapping[str, float],
+    suspension: str,
+) -> None:
+    """Draw on an axis what ``peak_fit`` draws."""
+    axis.plot(frequencies_hz, curve, color="0.6", lw=0.8)
+    title = PEAKS[suspension]
+    axis.set(title=title, xlabel="frequency [Hz]", ylabel="magnitude", xlim=(0, 15))
     peaks = sorted({name.rsplit("_", 1)[0] for name in features})
     for peak in peaks:
-        axis = axes[0][1] if peak == "secondary" else axes[0][0]
+        if (peak == "secondary") != (suspension == "secondary"):
+            continue
         position, height = features[f"{peak}_position"], features[f"{peak}_height"]
         half = features[f"{peak}_width"] / 2
         level = height / math.sqrt(2)
         axis.plot([position], [height], "o", label=peak.replace("_", " "))
         axis.plot([position - half, position + half], [level, level], "|-", color="tab:red", lw=1)
         axis.legend()
+
+
+@mpl.rc_context({"font.size": FONT_POINTS})
+def parity(actual: FloatArray, predicted: FloatArray, name: str) -> Figure:
+    """Draw predicted against actual ratios to healthy of one output."""
+    figure, axis = single()
+    axis.plot(actual, predicted, ".", ms=4, alpha=0.4)
+    span = [actual.min(), actual.max()]
+    axis.plot(span, span, color="black", lw=0.8)
+    axis.set(title=SYMBOLS[name], xlabel="actual / healthy", ylabel="estimated / healthy")
     return figure
 
 
-def parity(actual: FloatArray, predicted: FloatArray, names: Sequence[str]) -> Figure:
-    """Draw predicted against actual ratios to healthy."""
-    figure, axes = grid(1, len(names))
-    for j, (axis, name) in enumerate(zip(axes[0], names, strict=True)):
-        axis.plot(actual[:, j], predicted[:, j], ".", ms=4, alpha=0.4)
-        span = [actual[:, j].min(), actual[:, j].max()]
-        axis.plot(span, span, color="black", lw=0.8)
-        axis.set(title=SYMBOLS[name], xlabel="actual / healthy", ylabel="estimated / healthy")
-    return figure
-
-
+@mpl.rc_context({"font.size": FONT_POINTS})
 def table6(records: Sequence[Mapping[str, Any]]) -> Figure:
-    """Draw published and measured MAPE of each model and output, with the Cramer-Rao bound."""
+    """Draw the measured MAPE of each model and output, the published one and Cramer-Rao's bound."""
     shown = [r for r in records if r["metric"] == "mape_percent"]
     by_output, models = grouped(shown, "output"), models_of(shown)
-    figure, axes = grid(1, len(by_output), size=(3.2, 3.4), sharey=True)
-    for axis, ((output,), same) in zip(axes[0], by_output.items(), strict=True):
-        by_model = {r["model"]: r for r in same}
-        for x, model in enumerate(models):
-            record = by_model.get(model)
+    width = 0.8 / len(models)
+    figure, axis = single((6.4, 4.4))
+    for k, same in enumerate(by_output.values()):
+        for j, model in enumerate(models):
+            record = next((r for r in same if r["model"] == model), None)
             if record is None:
                 continue
-            # the paper's figure and ours side by side
-            for shift, key, colour in (
-                (-0.2, "published", PAPER_COLOUR),
-                (0.2, "measured", OUR_COLOUR),
-            ):
-                if record[key] is not None:
-                    bar = axis.bar(x + shift, record[key], 0.4, color=colour)
-                    axis.bar_label(bar, [f"{record[key]:.2g}"], fontsize=7)
-        bound = next(iter(by_model.values()))["bound"]
+            x = k + (j + 0.5) * width - 0.4
+            axis.bar(x, record["measured"], width, color=f"C{j}")
+            if record["published"] is not None:
+                axis.plot(x, record["published"], "D", color="black", mfc="white", ms=5)
+        bound = same[0]["bound"]
         if bound is not None:  # an output that the curves do not identify has none
-            axis.axhline(bound, color=BOUND_COLOUR, ls="--", lw=1)
-        axis.set(title=SYMBOLS[output], yscale="log")
-        axis.margins(y=0.15)
-        axis.set_xticks(range(len(models)), [MODEL_TITLES[m] for m in models], rotation=30)
-    axes[0][0].set_ylabel("MAPE [%]")
-    # bars of height 0 stand for the two kinds in the legend
-    handles: list[Any] = [
-        axes[0][0].bar(0, 0, color=PAPER_COLOUR),
-        axes[0][0].bar(0, 0, color=OUR_COLOUR),
-        axes[0][0].plot([], [], color=BOUND_COLOUR, ls="--")[0],
-    ]
-    figure.suptitle(table6_caption(records), fontsize="small")
-    labels = ["paper's Table VI", "measured", "Cramer-Rao bound"]
-    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+            axis.plot([k - 0.45, k + 0.45], [bound, bound], color=BOUND_COLOUR, ls="--", lw=1)
+    axis.set(ylabel="MAPE [%]", yscale="log")
+    axis.set_xticks(range(len(by_output)), [SYMBOLS[output] for (output,) in by_output])
+    # artists without data stand for the kinds in the legend
+    handles: list[Any] = [axis.bar(0, 0, color=f"C{j}") for j in range(len(models))]
+    handles += axis.plot([], [], "D", color="black", mfc="white", ms=5)
+    handles += axis.plot([], [], color=BOUND_COLOUR, ls="--", lw=1)
+    labels = [*(MODEL_TITLES[model] for model in models), "paper", "bound"]
+    figure.legend(handles, labels, loc="outside lower center", ncols=4)
     return figure
+
+
+def single(size: tuple[float, float] = (4.8, 3.6)) -> tuple[Figure, Axes]:
+    """Return a figure with one axis, whose ticks have the size of its texts."""
+    figure, [[axis]] = grid(1, 1, size)
+    axis.tick_params(labelsize=FONT_POINTS)
+    return figure, axis
 
 
 def grid(

@@ -83,7 +83,7 @@ def predict_stream(
     ValueError if no curve has every feature, or the model cannot use such curves.
     """
     data = problem.features(stream)
-    kept = data.complete(model.task.extractor)
+    complete = data.complete(model.task.extractor)
     start = time.perf_counter()
     predicted = regress_stream(problem, model, data, stream)
     refined = None
@@ -98,7 +98,7 @@ def predict_stream(
     flagged = None
     if flags and model.ood is not None and refined is not None:
         flagged = model.flags(data.inputs, data.reasons, refined)
-    return Outcome(kept, predicted[data.valid], seconds, len(data.inputs), scales, flagged)
+    return Outcome(complete, predicted[data.valid], seconds, len(data.inputs), scales, flagged)
 
 
 def regress_stream(
@@ -145,7 +145,7 @@ def _over_blocks(
     title = f"fits of {STREAM_NAMES[stream]} curves"
     with progress_bar(title, n_curves, unit="curve", shown=problem.progress) as bar:
 
-        def one(block: int) -> Part:
+        def fit_block(block: int) -> Part:
             rows = slice(block * BLOCK, (block + 1) * BLOCK)
             curves = problem.curves(data.ratios, stream, block)
             fitted = fit(curves, rows, None if mass is None else mass[rows])
@@ -153,7 +153,7 @@ def _over_blocks(
             return fitted
 
         with pool_of(threads) as pool:
-            return list(pool.map(one, range(problem.n_blocks(n_curves))))
+            return list(pool.map(fit_block, range(problem.n_blocks(n_curves))))
 
 
 def calibrated(problem: Problem, model: Model) -> Model:
@@ -169,26 +169,26 @@ def calibrated(problem: Problem, model: Model) -> Model:
     n_enough = N_UNCERTAIN_REFINED if model.refined else N_UNCERTAIN
     data = problem.features(CALIBRATE, n_enough if uncertain else None)
     # decide on the correction first: intervals must describe the estimates that the model will give
-    kept = data.valid
+    is_complete = data.valid
     model = replace(model, corrected=_is_corrected(problem, model, data))
     predicted = regress_stream(problem, model, data, CALIBRATE)
     # fit curves too: the misfit feeds the OOD detector, and refined models estimate by these fits
     n_usual = N_UNCERTAIN_FITS if uncertain else N_FITS
-    n_fits = len(kept) if model.refined else min(n_usual, len(kept))
+    n_fits = len(is_complete) if model.refined else min(n_usual, len(is_complete))
     fitted = refine_stream(problem, data.first(n_fits), predicted[:n_fits], CALIBRATE)
     inputs = model.scaled(data.inputs)
     if model.refined:
         estimates, deviations = identified(model.task, fitted)
-        wrong = residuals(estimates[kept], data.outputs[kept], log=True)
-        intervals = Intervals(Conformal.of(wrong, deviations[kept]), True, None)
+        wrong = residuals(estimates[is_complete], data.outputs[is_complete], log=True)
+        intervals = Intervals(Conformal.of(wrong, deviations[is_complete]), True, None)
     else:
-        wrong = residuals(predicted[kept], data.outputs[kept], model.log)
-        knowledge = model.with_estimates(data.inputs[kept], predicted[kept])
+        wrong = residuals(predicted[is_complete], data.outputs[is_complete], model.log)
+        knowledge = model.with_estimates(data.inputs[is_complete], predicted[is_complete])
         intervals = Intervals.learnt(knowledge, wrong, model.log)
     training = inputs[:0]  # a method that works on curves has no cloud of features
     if model.input_scaling is not None:
         training = model.scaled(problem.features(TRAIN).complete(model.task.extractor).inputs)
-    ood = OODDetector.learnt(training, inputs[kept], fitted.misfit)
+    ood = OODDetector.learnt(training, inputs[is_complete], fitted.misfit)
     return replace(model, intervals=intervals, ood=ood)
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from suspnet.estimation.fitted import FittedMethod
 from suspnet.ground.types import FloatArray
 from suspnet.learning.metrics import METRICS, interval_scores, score, score_where
 from suspnet.runs import plots
+from suspnet.runs.plots import PEAKS
 from suspnet.runs.predict import Outcome
 from suspnet.runs.tables import REFINED, scores_table
 from suspnet.runs.tensorboard import RunLog
@@ -128,9 +130,21 @@ def _rms_ratio(task: Task, outcome: Outcome, bounds: FloatArray) -> dict[str, fl
     return dict(zip(task.outputs, ratios.tolist(), strict=True))
 
 
-def log_hyperparameters(run_log: RunLog, metrics: Metrics, parameters: Mapping[str, Any]) -> None:
-    """Write the hyperparameters and final scores of a run for TensorBoard's HPARAMS tab."""
-    finals = {
+def log_scores(
+    run_log: RunLog, metrics: Metrics, parameters: Mapping[str, Any], swept: Sequence[str] = ()
+) -> None:
+    """Write the table of scores, and hyperparameters and scores for TensorBoard's HPARAMS tab.
+
+    `swept` are the keys that a multirun varies.
+    """
+    run_log.text("scores", scores_table(metrics))
+    errors = metrics["rms_percent"]
+    finals = {"rms_percent": fmean(errors.values())}
+    columns = ["rms_percent", *(["cv_rmse"] if "search" in metrics else []), "seconds"]
+    # which outputs there are depends on these
+    if not {"group", "protocol", "experiment"} & set(swept):
+        columns += [f"mape_percent_{output}" for output in errors]
+    finals |= {
         f"{metric}_{output}": values[metric]
         for output, values in metrics["scores"].items()
         for metric in METRICS
@@ -140,7 +154,8 @@ def log_hyperparameters(run_log: RunLog, metrics: Metrics, parameters: Mapping[s
     finals["seconds"] = metrics["seconds"]
     if "search" in metrics:
         finals["cv_rmse"] = min(metrics["search"]["rmse"])
-    run_log.hyperparameters({**parameters, **metrics}, finals)
+    names = [key.rpartition(".")[2] for key in swept]
+    run_log.hyperparameters({**parameters, **metrics}, finals, columns, names)
 
 
 def report(metrics: Metrics, folder: Path) -> None:
@@ -181,21 +196,24 @@ def _trust(metrics: Metrics) -> str:
 def draw_run(
     problem: Problem, model: FittedMethod, outcome: Outcome, run_log: RunLog, folder: Path
 ) -> None:
-    """Draw estimates of a run against truth and, of a model that reads peaks, those of a curve."""
+    """Draw estimates of a run against truth and, of a model that reads peaks, those of a curve.
+
+    Each figure has one axis, as TensorBoard shows it small.
+    """
     task = model.task
-    title = (
-        f"{problem.vehicle.name}, protocol {task.protocol}, group {task.group}, {model.name}, "
-        f"{problem.settings.snr_db:g} dB, seed {problem.seed}"
-    )
-    figures = {"parity": plots.parity(outcome.data.outputs, outcome.predicted, task.outputs)}
+    figures = {
+        f"parity_{name}": plots.parity(outcome.data.outputs[:, j], outcome.predicted[:, j], name)
+        for j, name in enumerate(task.outputs)
+    }
     if task.extractor.kind == "peaks":
         frequencies_hz = problem.observer.frequencies_hz
         example = problem.curves(outcome.data.ratios[:1], TEST, 0)
         table = task.extractor.extract(example, frequencies_hz.to(example.device))
         features = dict(zip(task.extractor.names, table.values[0].tolist(), strict=True))
-        figures["peaks"] = plots.peak_fits(
-            frequencies_hz.numpy(), example[0].abs().cpu().numpy(), features
-        )
+        curves = example[0].abs().cpu().numpy()
+        for suspension, curve in zip(PEAKS, curves, strict=True):
+            figures[f"peaks_{suspension}"] = plots.peak_fit(
+                frequencies_hz.numpy(), curve, features, suspension
+            )
     for key, figure in figures.items():
-        figure.suptitle(title, fontsize="small")
         run_log.figure(key, figure, folder)

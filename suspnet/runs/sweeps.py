@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from shlex import quote
 from statistics import fmean
+from textwrap import fill
 from typing import Any
 
 import yaml
@@ -26,12 +27,16 @@ from suspnet.runs.tables import (
     table6_caption,
     table6_markdown,
     table6_records,
+    table6_short,
     write_study,
 )
+from suspnet.runs.tensorboard import RunLog
 
 log = logging.getLogger(__name__)
 TRIALS = "trials"
 """Folder of a multirun with a run of TensorBoard for each trial of its searches."""
+MOST_COLUMNS = 100
+"""Width of the terminal that texts are wrapped for."""
 Run = Mapping[str, Any]
 
 
@@ -65,11 +70,21 @@ class Jobs(Callback):
         write_atomically(folder / "jobs.csv", records_csv(with_swept(folder, rows)))
         table = tabulate(rows, "keys", "github", floatfmt=".4g", missingval="-")
         write_atomically(folder / "jobs.md", f"{table}\n")
+        with RunLog(folder) as run_log:
+            run_log.text("jobs", table)
+        # the terminal shows the errors alone, and the state where it says something
+        says = {"finished"} != {row["state"] for row in rows}
+        short = [
+            {k: v for k, v in row.items() if "/" not in k and (says or k != "state")}
+            for row in rows
+        ]
         log.info(
-            "rms error in %%, least mean first among jobs with the same outputs; /bound: over the "
-            "Cramer-Rao bound\n\n%s\n-> %s/jobs.*",
-            table,
+            "rms error in %%, least mean first among jobs with the same outputs\n\n%s\n"
+            "-> %s/jobs.*, with the errors over the Cramer-Rao bound\n"
+            "compare the jobs with: tensorboard --logdir %s",
+            tabulate(short, "keys", "github", floatfmt=".4g", missingval="-"),
             folder,
+            quote(str(folder)),
         )
 
 
@@ -119,8 +134,8 @@ def with_swept(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[dict[str
     for path in sorted(folder.glob(f"*/{HYDRA}/overrides.yaml")):
         pairs = (str(override).lstrip("+").partition("=") for override in read_yaml(path))
         settings[path.parents[1].name] = {key: value for key, _, value in pairs}
-    keys = dict.fromkeys(key for own in settings.values() for key in own)
-    swept = [key for key in keys if len({own.get(key) for own in settings.values()}) > 1]
+    keys = dict.fromkeys(key for values in settings.values() for key in values)
+    swept = [key for key in keys if len({values.get(key) for values in settings.values()}) > 1]
     return [
         {**row, **{key: settings.get(row["job"], {}).get(key, "") for key in swept}} for row in rows
     ]
@@ -152,14 +167,18 @@ def write_table6(runs: Sequence[Run], folder: Path, note: str = "") -> None:
     text = "\n".join(
         f"{table6_markdown(part)}\n\n{table6_caption(part)}\n" for part in by_protocol.values()
     )
+    short = "\n".join(
+        f"{table6_short(part)}\n\n{table6_caption(part)}\n" for part in by_protocol.values()
+    )
     text += f"{note}\n" if note else ""
+    short += fill(note, MOST_COLUMNS)
     several = len(by_protocol) > 1
     figures = {
         f"table6_{name}" if several else "table6": plots.table6(part)
         for name, part in by_protocol.items()
     }
     title = "Table VI, published and measured"
-    write_study(folder, "table6", title, text, records, records, figures)
+    write_study(folder, "table6", title, text, records, records, figures, short)
 
 
 def _write_comparison(runs: Sequence[Run], folder: Path, note: str) -> None:

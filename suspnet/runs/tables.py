@@ -77,7 +77,7 @@ def table6_markdown(records: Sequence[Record]) -> str:
     """
     models = models_of(records)
     header = ["group", "output", "metric"]
-    header += [f"{MODEL_TITLES[m]} {what}" for m in models for what in ("paper", "ours")]
+    header += [f"{MODEL_TITLES[m]} {source}" for m in models for source in ("paper", "ours")]
     rows = []
     for (group, output, metric), same in grouped(records, "group", "output", "metric").items():
         row: list[str] = [group, output, "MAPE %" if metric == "mape_percent" else "RMSE"]
@@ -90,6 +90,23 @@ def table6_markdown(records: Sequence[Record]) -> str:
     return markdown(rows, [*header, "bound"])
 
 
+def table6_short(records: Sequence[Record]) -> str:
+    """Return Table VI's MAPE of one protocol, a row for each method: ours and (the paper's)."""
+    shown = [record for record in records if record["metric"] == "mape_percent"]
+    by_output = {output: same for (output,), same in grouped(shown, "output").items()}
+    rows = []
+    for model in models_of(shown):
+        row = [MODEL_TITLES[model]]
+        for same in by_output.values():
+            own = [record for record in same if record["model"] == model]
+            published = own[0]["published"] if own else None
+            cell = mean_in_digits(own, "measured")
+            row.append(cell if published is None else f"{cell} ({in_digits(published)})")
+        rows.append(row)
+    rows.append(["bound", *(mean_in_digits(same, "bound") for same in by_output.values())])
+    return narrow(rows, ["MAPE %, ours (the paper's)", *by_output])
+
+
 def table6_caption(records: Sequence[Mapping[str, Any]]) -> str:
     """Return one line on how the measured figures were obtained."""
     first = records[0]
@@ -100,13 +117,8 @@ def table6_caption(records: Sequence[Mapping[str, Any]]) -> str:
     times = ", ".join(f"{MODEL_TITLES[m]} {seconds[m]:.1f} s" for m in MODEL_TITLES if m in seconds)
     return (
         f"protocol {first['protocol']}, {first['n_train']} training curves, "
-        f"{first['snr_db']:g} dB, seed {seeds}; time taken: {times}"
+        f"{first['snr_db']:g} dB, seed {seeds}\ntime taken: {times}"
     )
-
-
-def precision_percent(snr_db: float) -> float:
-    """Return the precision of a sensor, the noise's rms relative to the signal's, [%]."""
-    return 100 * float(10 ** (-snr_db / 20))
 
 
 def grouped(records: Iterable[Row], *keys: str) -> dict[tuple[Any, ...], list[Row]]:
@@ -137,6 +149,17 @@ def markdown(rows: Sequence[Sequence[Any]], header: Sequence[str]) -> str:
     return tabulate(rows, header, tablefmt="github", disable_numparse=True)
 
 
+def narrow(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
+    """Return rows of text as a Markdown table without padding, for a terminal of 100 columns."""
+    widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
+    rule = ["-" * width for width in widths]
+    lines = [
+        " | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+        for row in (header, rule, *rows)
+    ]
+    return "\n".join(f"| {line} |" for line in lines)
+
+
 def records_csv(records: Sequence[Mapping[str, Any]]) -> str:
     """Return records as CSV with a header line."""
     stream = io.StringIO()
@@ -157,11 +180,11 @@ def scores_table(metrics: Mapping[str, Any]) -> str:
             interval = metrics["intervals"]["outputs"][output]
             row += [interval["half_width_percent"], interval["coverage_percent"]]
         rows.append([output, *map(in_digits, row)])
-    header = ["output", "MAPE %", "bound", "RMSE", "bound", "Cramer-Rao sd %", "rms / bound"]
+    header = ["output", "MAPE %", "bound", "RMSE", "bound", "bound sd %", "rms / bound"]
     if "intervals" in metrics:
         level = 100 * metrics["intervals"]["level"]
-        header += [f"{level:g} % interval +- %", "covers %"]
-    return markdown(rows, header)
+        header += [f"{level:g} % +-", "covers %"]
+    return narrow(rows, header)
 
 
 def mean_in_digits(records: Iterable[Record], key: str) -> str:
@@ -187,10 +210,11 @@ def write_study(
     content: Any,
     records: Sequence[Mapping[str, Any]],
     figures: Mapping[str, Figure] | None = None,
+    short: str | None = None,
 ) -> None:
     """Write content as JSON, records as CSV, text as Markdown, and figures; show text and figures.
 
-    `title` is the first line of what is logged.
+    `title` is the first line of what is logged, followed by the text, or by a `short` one.
     """
     write_json(folder / f"{name}.json", content)
     write_atomically(folder / f"{name}.csv", records_csv(records))
@@ -199,4 +223,4 @@ def write_study(
         run_log.text(name, text)
         for key, figure in (figures or {}).items():
             run_log.figure(key, figure, folder)
-    log.info("%s\n\n%s\n-> %s/%s.*", title, text.rstrip("\n"), folder, name)
+    log.info("%s\n\n%s\n-> %s/%s.*", title, (short or text).rstrip("\n"), folder, name)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, Self
 
@@ -16,9 +16,7 @@ from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 from torch.utils.tensorboard import SummaryWriter
 from torch.utils.tensorboard.summary import hparams
 
-from suspnet.ground.parameters import PARAMETERS
 from suspnet.ground.storage import write_atomically
-from suspnet.learning.metrics import METRICS
 
 HYPERPARAMETERS: dict[str, Any] = {
     "model": "",
@@ -38,19 +36,26 @@ HYPERPARAMETERS: dict[str, Any] = {
     "vehicle": "",
 }
 """Columns of the HPARAMS tab, each with a value of its type."""
+OF_EVERY_METHOD = ("model", "group", "n_train", "snr_db", "seed", "protocol", "vehicle")
+"""Columns that a run of any method fills."""
 SHOWN_FIRST = ("model", "group", "C", "sigma", "epsilon")
-METRIC_COLUMNS = (
-    *(f"{metric}_{output}" for output in PARAMETERS for metric in METRICS),
-    *(f"rms_ratio_{output}" for output in PARAMETERS),
-    "cv_rmse",
-    "seconds",
-)
+"""Hyperparameters that the table shows of a run that is no job of a multirun."""
 SECTIONS = {
     "comparison": ("table6", "tube"),
     "estimates": ("parity",),
     "training": ("peaks",),
 }
 """Figures by the section they are shown in; TensorBoard shows sections in alphabetical order."""
+ERROR_BY_N = "error_by_n"
+"""Prefix of the rms error of each output, the step of which is a number of training curves."""
+CHARTS = {
+    "this run": {
+        "rms error [%] by training curves": ["Multiline", [f"{ERROR_BY_N}/.*"]],
+        "objective by iteration": ["Multiline", [r"\w+/objective"]],
+        "cross-validated RMSE by trial": ["Multiline", ["search/.*"]],
+    }
+}
+"""Layout of the tab CUSTOM SCALARS: the outputs of a run share one chart."""
 
 
 class RunLog:
@@ -83,9 +88,13 @@ class RunLog:
         self._writer.add_text(name, content)
 
     def config(self, content: Mapping[str, Any]) -> None:
-        """Write the resolved configuration as an indented block."""
+        """Write the resolved configuration as an indented block, and the layout of the charts.
+
+        TensorBoard shows texts in alphabetical order: the scores before the settings.
+        """
+        self._writer.add_custom_scalars(CHARTS)
         lines = json.dumps(content, indent=2, default=str).splitlines()
-        self.text("config", "\n".join(f"    {line}" for line in lines))
+        self.text("settings", "\n".join(f"    {line}" for line in lines))
 
     def figure(self, name: str, figure: Figure, folder: Path | None = None) -> None:
         """Write a figure as an image, and as folder/name.png if a folder is given."""
@@ -100,24 +109,41 @@ class RunLog:
             Image.fromarray(np.ascontiguousarray(pixels)).save(stream, "PNG")
             write_atomically(folder / f"{name}.png", stream.getvalue())
 
-    def hyperparameters(self, values: Mapping[str, Any], metrics: Mapping[str, float]) -> None:
+    def hyperparameters(
+        self,
+        values: Mapping[str, Any],
+        metrics: Mapping[str, float],
+        columns: Collection[str],
+        swept: Collection[str] = (),
+    ) -> None:
         """Write hyperparameters and final metrics for the HPARAMS tab.
+
+        `columns` are the metrics that every run of a multirun has: the parallel coordinates leave
+        out a run without one of them, or without a hyperparameter that is shown. `swept` are the
+        hyperparameters in which its runs differ.
 
         `SummaryWriter.add_hparams` would create a folder of its own below the run's; these
         summaries go into the run's own file, so that a run is one row of the table and one line of
         the parallel coordinates. TensorBoard takes the columns from whichever run it meets first,
-        so every run of a multirun declares the same columns and fills in those it has. TensorBoard
-        shows the columns declared to differ first, in alphabetical order.
+        so every run of a multirun declares the same ones. It shows those declared to differ, in
+        alphabetical order.
         """
-        finals = {f"final/{name}": 0.0 for name in METRIC_COLUMNS}
-        experiment, _, end = hparams(HYPERPARAMETERS, finals)
+        finals = {f"final/{name}": 0.0 for name in columns}
+        names = OF_EVERY_METHOD if "model" in swept else HYPERPARAMETERS
+        known = {key: HYPERPARAMETERS[key] for key in names}
+        known |= {key: values[key] for key in swept if _is_plain(values.get(key))}
+        experiment, _, end = hparams(known, finals)
         content = experiment.value[0].metadata.plugin_data
         declared = HParamsPluginData.FromString(content.content)
         for info in declared.experiment.hparam_infos:
-            info.differs = info.name in SHOWN_FIRST
+            info.differs = info.name in (swept or SHOWN_FIRST)
         content.content = declared.SerializeToString()
-        own = {k: v for k, v in values.items() if k in HYPERPARAMETERS and v is not None}
-        _, start, _ = hparams(own, finals)
+        used = {k: v for k, v in values.items() if k in known and _is_plain(v)}
+        _, start, _ = hparams(used, finals)
         for summary in (experiment, start, end):
             self._writer._get_file_writer().add_summary(summary)
         self.scalars("final", metrics, 0)
+
+
+def _is_plain(value: Any) -> bool:
+    return isinstance(value, bool | int | float | str)

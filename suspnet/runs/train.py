@@ -33,7 +33,7 @@ from suspnet.ground.progress import stage
 from suspnet.ground.settings import check_number
 from suspnet.ground.storage import write_json
 from suspnet.learning.search import GridSearch, SearchResult
-from suspnet.runs.fit import check_hyperparameters, fit, method_name, tune
+from suspnet.runs.fit import check_hyperparameters, fit, method_name, refitted, tune
 from suspnet.runs.predict import (
     Outcome,
     calibrated,
@@ -44,12 +44,12 @@ from suspnet.runs.scores import (
     Metrics,
     draw_run,
     headline,
-    log_hyperparameters,
+    log_scores,
     report,
     rms_percent,
     scores,
 )
-from suspnet.runs.tensorboard import RunLog
+from suspnet.runs.tensorboard import ERROR_BY_N, RunLog
 
 log = logging.getLogger(__name__)
 PACKAGES = ("suspnet", "torch", "numpy", "scipy", "scikit-learn", "hydra-core", "tensorboard")
@@ -62,12 +62,13 @@ class RunContext:
     `config` is the resolved configuration; its `reading_name` and `search_name` go into
     metrics.json. `notes` are further entries of the
     model's `training`, such as the healthy trips as "commissioned"; `residual` is the unexplained
-    part of a commissioned vehicle's healthy trips.
+    part of a commissioned vehicle's healthy trips. `swept` are the keys that a multirun varies.
     """
 
     config: Mapping[str, Any] = field(default_factory=dict)
     notes: Mapping[str, Any] = field(default_factory=dict)
     residual: Residual | None = None
+    swept: Sequence[str] = ()
 
 
 def train(
@@ -146,8 +147,9 @@ def train(
         accuracy = {"test_rms_percent": metrics["rms_percent"]}
         stage("figures and tables of the run")
         write_model(folder, replace(model, training=model.training | accuracy))
-        log_hyperparameters(run_log, metrics, model.training["parameters"])
+        log_scores(run_log, metrics, model.training["parameters"], context.swept)
         if figures:
+            log_error_by_n(problem, model, outcome, run_log)
             draw_run(problem, model, outcome, run_log, folder / "figures")
     write_json(folder / "environment.json", environment())
     write_json(folder / "metrics.json", metrics)  # last: it marks the run as finished
@@ -173,6 +175,16 @@ def _trusted(problem: Problem, model: TrainedModel, context: RunContext) -> Trai
             costs,
         )
     return model
+
+
+def log_error_by_n(
+    problem: Problem, model: TrainedModel, outcome: Outcome, run_log: RunLog
+) -> None:
+    """Write the rms error of the regression when it learns from fewer curves, up to all of them."""
+    for n, part in refitted(problem, model):
+        predicted = part.predict(outcome.data.inputs)
+        errors = rms_percent(problem.task, replace(outcome, predicted=predicted))
+        run_log.scalars(ERROR_BY_N, errors, n)
 
 
 def _metrics(

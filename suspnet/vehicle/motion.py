@@ -115,18 +115,18 @@ class SampledMotion:
             )
         # Real modes first, then one of each conjugate pair: the outputs of the other one are the
         # conjugates, so that the weights of these modes are doubled.
-        kept = np.concatenate(
+        modes = np.concatenate(
             [np.flatnonzero(eigenvalues.imag == 0), *np.nonzero(eigenvalues.imag > 0)]
         )
         self._n_real = int(np.count_nonzero(eigenvalues.imag == 0))
-        self._decays: ComplexArray = np.exp(eigenvalues[kept] / rate_hz)
-        before, after = (w[:, None] for w in foh_weights(eigenvalues[kept], 1 / rate_hz))
-        drives: ComplexArray = np.linalg.solve(vectors, b.astype(np.complex128))[kept]
+        self._decays: ComplexArray = np.exp(eigenvalues[modes] / rate_hz)
+        before, after = (w[:, None] for w in foh_weights(eigenvalues[modes], 1 / rate_hz))
+        drives: ComplexArray = np.linalg.solve(vectors, b.astype(np.complex128))[modes]
         self._forcing = self._split(np.hstack([before * drives, after * drives]))
-        weights = (c @ vectors)[:, kept]
+        weights = (c @ vectors)[:, modes]
         weights[:, self._n_real :] *= 2.0
         self._outputs = self._split(weights.conj().T).T  # Re(w q) = Re w Re q - Im w Im q
-        self._state: list[Any] = [0.0] * len(kept)
+        self._state: list[Any] = [0.0] * len(modes)
         self._last: FloatArray | None = None
 
     def _split(self, rows: ComplexArray) -> FloatArray:

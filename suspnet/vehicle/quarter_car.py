@@ -128,12 +128,6 @@ class QuarterCar(ResponseGenerator):
         eigenvalues, shapes = eigh(system.stiffness, system.mass)
         return np.sqrt(eigenvalues) / (2 * math.pi), shapes
 
-    def dynamic_stiffness(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> Tensor:
-        """Return k_p + j omega c_p and k_s + j omega c_s, (n_vehicles, 2, n_freq), [N/m]."""
-        k_p, c_p, k_s, c_s, _ = self.parameters(ratios)
-        s = 1j * angular(frequencies_hz, self.device)
-        return torch.stack([k_p + c_p * s, k_s + c_s * s], dim=1)
-
     def motion_system(self, ratios: ArrayLike) -> LinearSystem:
         """Return the equations of motion of one vehicle, ratios (5,), for simulation in time."""
         k_p, c_p, k_s, c_s, m_s = self.parameters(as_tensor(ratios)[None]).flatten().tolist()

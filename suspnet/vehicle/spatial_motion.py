@@ -214,16 +214,16 @@ def _suspensions(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
     parts, joints = layout.parts, []
     guidance = guidance_element(p).times(2)
     bar = Element(p["anti_roll_bar"], None)
-    for i, which, sigma in ((1, "", 1.0), (2, "other_", -1.0)):
+    for i, prefix, sigma in ((1, "", 1.0), (2, "other_", -1.0)):
         for side in ("left", "right"):
             lateral = SIGNS[side] * p["primary_lateral"]
             for axle, end in ((1, 1.0), (2, -1.0)):
                 wheel = axle + 2 * (i - 1)
                 corner = f"_axle{axle}_{side}"
-                spring = primary_element(p, which, parts, corner).times(0.5)
+                spring = primary_element(p, prefix, parts, corner).times(0.5)
                 below: Row = {_height(parts, wheel): -1.0, _roll(parts, wheel): -lateral}
                 joints.append(Joint(spring, {**_corner(i, end, lateral, p), **below}))
-            spring = secondary_element(p, which, parts, f"_{side}")
+            spring = secondary_element(p, prefix, parts, f"_{side}")
             lateral = SIGNS[side] * p["secondary_lateral"]
             body: Row = {"z": 1.0, "q": p["bending_at_pivot"], "phi": sigma}
             body |= {"q_b": sigma * p["second_at_pivot"], **_body_roll(p, sigma, lateral)}
@@ -266,8 +266,8 @@ def _guided(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
         i, end = 1 + (wheel > 2), 1.0 if wheel % 2 else -1.0
         aside: Row = {f"y_{i}": 1.0, f"chi_{i}": end, f"theta_{i}": p["guide_lever"]}
         if "creep" not in layout.parts:
-            held: Row = {f"v{wheel}": -1.0, _roll(layout.parts, wheel): p["wheel_radius"]}
-            joints.append(Joint(guide, {**aside, **held}))
+            wheelset: Row = {f"v{wheel}": -1.0, _roll(layout.parts, wheel): p["wheel_radius"]}
+            joints.append(Joint(guide, {**aside, **wheelset}))
             continue
         joints.append(Joint(guide, {**aside, f"y_w{wheel}": -1.0}))
         lever = p["primary_lateral"] / p["half_wheelbase"]

@@ -208,11 +208,11 @@ class SpatialVehicle(VehicleFamily):
         return omega
 
     def _measured(self, p: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        own = {
+        measured = {
             name: p[name] * p[f"healthy_{name}"] * p[f"healthy_{name[:3]}"]
             for name in COMPONENTS[:-1]
         }
         other = {
             f"other_{name}": p[f"other_{name}"] * p[f"other_{name[:3]}"] for name in COMPONENTS[:-1]
         }
-        return own | other
+        return measured | other

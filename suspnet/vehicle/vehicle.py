@@ -161,14 +161,17 @@ class Vehicle:
         check_settings(self)
         if self.limits is not None:
             limits = self.known_limits
-            own = {name: limits[name].to_dict() if name in limits else None for name in self.limits}
-            object.__setattr__(self, "limits", own)
-        for which in ("primary", "secondary"):
-            frequency_hz = getattr(self, f"{which}_frequency_hz")
-            what = f"uncoupled {which} natural frequency [Hz]"
-            _check_plausible(self, what, frequency_hz, FREQUENCY_RANGE_HZ, STIFFNESS_SLIPS)
-            ratio, what = getattr(self, f"{which}_damping_ratio"), f"{which} damping ratio"
-            _check_plausible(self, what, ratio, DAMPING_RATIO_RANGE, DAMPING_SLIPS)
+            plain = {
+                name: limits[name].to_dict() if name in limits else None for name in self.limits
+            }
+            object.__setattr__(self, "limits", plain)
+        for suspension in ("primary", "secondary"):
+            frequency_hz = getattr(self, f"{suspension}_frequency_hz")
+            quantity = f"uncoupled {suspension} natural frequency [Hz]"
+            _check_plausible(self, quantity, frequency_hz, FREQUENCY_RANGE_HZ, STIFFNESS_SLIPS)
+            ratio = getattr(self, f"{suspension}_damping_ratio")
+            quantity = f"{suspension} damping ratio"
+            _check_plausible(self, quantity, ratio, DAMPING_RATIO_RANGE, DAMPING_SLIPS)
 
     @property
     def known_limits(self) -> dict[str, Limits]:
@@ -220,13 +223,13 @@ def check_vehicle(vehicle: object) -> None:
 
 
 def _check_plausible(
-    vehicle: Vehicle, what: str, value: float, ends: tuple[float, float], slips: tuple[str, str]
+    vehicle: Vehicle, quantity: str, value: float, ends: tuple[float, float], slips: tuple[str, str]
 ) -> None:
     """Raise ValueError with the likely slip if a value is below or above the ends of its range."""
     if not ends[0] <= value <= ends[1]:
         raise ValueError(
-            f"vehicle {vehicle.name!r}: the {what} is {value:.3g}, outside {ends[0]}-{ends[1]}; "
-            f"is the {slips[int(value > ends[1])]}? Give N/m, N s/m and kg"
+            f"vehicle {vehicle.name!r}: the {quantity} is {value:.3g}, outside "
+            f"{ends[0]}-{ends[1]}; is the {slips[int(value > ends[1])]}? Give N/m, N s/m and kg"
         )
 
 
@@ -263,10 +266,6 @@ class ResponseGenerator:
         Shape (n_vehicles, n_inputs, 3, n_freq). Each input is scaled to the density of the first,
         the mean of both rails, so that expected spectra are sums over inputs.
         """
-        raise NotImplementedError
-
-    def dynamic_stiffness(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> Tensor:
-        """Return kappa_p and kappa_s of one bogie side, complex (n_vehicles, 2, n_freq), [N/m]."""
         raise NotImplementedError
 
     def motion_system(self, ratios: ArrayLike) -> LinearSystem:

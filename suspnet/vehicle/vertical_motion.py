@@ -165,13 +165,13 @@ def _ladder(omega: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def primary_element(
-    p: Mapping[str, Tensor], which: str, parts: Sequence[str], place: str = ""
+    p: Mapping[str, Tensor], prefix: str, parts: Sequence[str], place: str = ""
 ) -> Element:
     """Return the primary suspension of the measured ("") or the other bogie ("other_").
 
     `place` is the end of the names of its numbers, "" or that of a corner, "_axle1_left".
     """
-    stiffness, damping = p[f"{which}k_p{place}"], p[f"{which}c_p{place}"]
+    stiffness, damping = p[f"{prefix}k_p{place}"], p[f"{prefix}c_p{place}"]
     branches: list[tuple[Tensor, Tensor]] = []
     if "bushings" in parts:
         branches.append((p["primary_bushing"], p["primary_bushing"] / damping))
@@ -186,13 +186,13 @@ def primary_element(
 
 
 def secondary_element(
-    p: Mapping[str, Tensor], which: str, parts: Sequence[str], place: str = ""
+    p: Mapping[str, Tensor], prefix: str, parts: Sequence[str], place: str = ""
 ) -> Element:
     """Return the secondary suspension of the measured ("") or the other bogie ("other_").
 
     `place` is the end of the names of its numbers, "" or that of a side, "_left".
     """
-    stiffness, damping = p[f"{which}k_s{place}"], p[f"{which}c_s{place}"]
+    stiffness, damping = p[f"{prefix}k_s{place}"], p[f"{prefix}c_s{place}"]
     if "air_spring" in parts:
         ratio = p["volume_ratio"]
         volumes = (1 - p["area_share"]).clamp(min=0.0) * stiffness
@@ -234,13 +234,13 @@ def links_of(p: Mapping[str, Tensor], parts: Sequence[str]) -> list[tuple[Elemen
     Each is an element with its levers below the body's and above the bogie's centre [m].
     """
     body, bogie = p["body_lever"], p["bogie_lever"]
-    found = []
+    links = []
     if "longitudinal" in parts:
-        found.append((longitudinal_element(p), body, bogie))
+        links.append((longitudinal_element(p), body, bogie))
     if "yaw_dampers" in parts:
         height = p["yaw_height"]
-        found.append((yaw_damper_element(p), body - height, bogie + height))
-    return found
+        links.append((yaw_damper_element(p), body - height, bogie + height))
+    return links
 
 
 def lateral_element(p: Mapping[str, Tensor]) -> Element:
@@ -250,8 +250,8 @@ def lateral_element(p: Mapping[str, Tensor]) -> Element:
 
 def bending_element(p: Mapping[str, Tensor], empty_kg: float) -> Element:
     """Return the body's first bending per modal mass of M_s; payload does not stiffen it."""
-    own = 2 * math.pi * p["bending_frequency"]
-    return Element(empty_kg * own**2, 2 * p["bending_damping"] * empty_kg * own)
+    omega = 2 * math.pi * p["bending_frequency"]
+    return Element(empty_kg * omega**2, 2 * p["bending_damping"] * empty_kg * omega)
 
 
 def laden(p: dict[str, Tensor], empty_kg: float) -> dict[str, Tensor]:
@@ -347,12 +347,12 @@ class _Vehicle:
         p, parts, e = self.p, self.parts, self.e
         acting = []
         body = self.above("bending_at_pivot")
-        for which, i, sign, (first, last) in BOGIES:
-            primary = primary_element(p, which, parts)
+        for prefix, i, sign, (first, last) in BOGIES:
+            primary = primary_element(p, prefix, parts)
             acting += [
                 Acting(primary, e[f"z_{i}"] - 0.5 * (e[f"w_{first}"] + e[f"w_{last}"])),
                 Acting(primary, e[f"psi_{i}"] - 0.5 * (e[f"w_{first}"] - e[f"w_{last}"])),
-                Acting(secondary_element(p, which, parts), body + sign * e["phi"] - e[f"z_{i}"]),
+                Acting(secondary_element(p, prefix, parts), body + sign * e["phi"] - e[f"z_{i}"]),
             ]
             if "guidance" in parts:
                 acting.append(Acting(guidance_element(p), e[f"psi_{i}"]))
@@ -377,14 +377,14 @@ class _Vehicle:
         p, n, parts, e = self.p, self.n, self.parts, self.e
         acting = []
         aside = e["y"] + n["body_lever"] * e["theta"]
-        for which, i, _, (first, last) in BOGIES:
-            own, track = e[f"theta_{i}"], 0.5 * (e[f"x_{first}"] + e[f"x_{last}"])
-            across = e["theta"] - own
+        for prefix, i, _, (first, last) in BOGIES:
+            roll, track = e[f"theta_{i}"], 0.5 * (e[f"x_{first}"] + e[f"x_{last}"])
+            across = e["theta"] - roll
             acting += [
-                Acting(primary_element(p, which, parts), n["primary_lateral"] * (own - track)),
-                Acting(secondary_element(p, which, parts), n["secondary_lateral"] * across),
+                Acting(primary_element(p, prefix, parts), n["primary_lateral"] * (roll - track)),
+                Acting(secondary_element(p, prefix, parts), n["secondary_lateral"] * across),
                 Acting(Element(p["anti_roll_bar"] / 2, None), across),
-                Acting(lateral_element(p), aside + n["bogie_lever"] * own),
+                Acting(lateral_element(p), aside + n["bogie_lever"] * roll),
             ]
         return acting
 
@@ -419,5 +419,5 @@ def behind_of(n: Mapping[str, float], bogie: str, axle: str) -> tuple[float, ...
     """Return the distances of the wheelsets behind the measured one, its own bogie first, [m]."""
     shift = n["half_wheelbase"] if axle == "leading" else -n["half_wheelbase"]
     pivots = 2 * n["half_pivot_distance"] * (1 if bogie == "leading" else -1)
-    own = [shift - n["half_wheelbase"], shift + n["half_wheelbase"]]
-    return (*own, *(pivots + distance for distance in own))
+    offsets = [shift - n["half_wheelbase"], shift + n["half_wheelbase"]]
+    return (*offsets, *(pivots + distance for distance in offsets))

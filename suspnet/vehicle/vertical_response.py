@@ -240,7 +240,7 @@ def root_of_size(share: Tensor) -> Tensor:
 
 def _bogie(
     p: Mapping[str, Tensor],
-    which: str,
+    prefix: str,
     omega: Tensor,
     links: Sequence[tuple[Tensor, Tensor, Tensor]],
     parts: tuple[str, ...],
@@ -250,8 +250,8 @@ def _bogie(
     `links` are kappa_x with h_2 / L and h_3 / a.
     """
     kappa_p, kappa_s = (
-        primary_element(p, which, parts).at(omega),
-        secondary_element(p, which, parts).at(omega),
+        primary_element(p, prefix, parts).at(omega),
+        secondary_element(p, prefix, parts).at(omega),
     )
     inertia = p["bogie_mass"] * omega**2
     # Bounce: driven by the mean of both wheelsets, and by the body above.
@@ -282,8 +282,8 @@ def _bogie(
 
 def _modal(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
     """Return the dynamic stiffness of the body's free bending, its modal mass included."""
-    own = bending_element(p, layout.empty_body_kg)
-    return own.at(omega) - p["M_s"] * omega**2
+    element = bending_element(p, layout.empty_body_kg)
+    return element.at(omega) - p["M_s"] * omega**2
 
 
 def rolled(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
@@ -295,9 +295,9 @@ def rolled(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
     # height of the springs. Each bogie is eliminated, its effects on the body are added up.
     bogies = []
     resistance = stiffening = coupling = moment = push = torch.zeros_like(wheels[0])
-    for which, pair in (("", wheels[:2]), ("other_", wheels[2:])):
-        below = primary_element(p, which, layout.parts).at(omega) * p["primary_lateral"] ** 2
-        above = secondary_element(p, which, layout.parts).at(omega) * p["secondary_lateral"] ** 2
+    for prefix, pair in (("", wheels[:2]), ("other_", wheels[2:])):
+        below = primary_element(p, prefix, layout.parts).at(omega) * p["primary_lateral"] ** 2
+        above = secondary_element(p, prefix, layout.parts).at(omega) * p["secondary_lateral"] ** 2
         above = above + p["anti_roll_bar"] / 2
         all_ = below + above - bogie_inertia + aside * lever**2
         link, yielding = above / all_, aside * lever / all_
@@ -348,7 +348,7 @@ def wheels_of(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> list[Te
     unit = phasor(omega * 2 * a / p["speed"])
     other = phasor(omega * 2 * pivot / p["speed"])
     measured = torch.ones_like(unit)
-    own = [measured, unit] if layout.axle == "leading" else [unit.conj(), measured]
+    wheels = [measured, unit] if layout.axle == "leading" else [unit.conj(), measured]
     if layout.bogie == "trailing":
         other = other.conj()
-    return [*own, *(other * wheel for wheel in own)]
+    return [*wheels, *(other * wheel for wheel in wheels)]

@@ -34,8 +34,6 @@ from suspnet.vehicle.vehicle import (
 from suspnet.vehicle.vertical_motion import (
     Layout,
     laden,
-    primary_element,
-    secondary_element,
     vertical_motion,
 )
 from suspnet.vehicle.vertical_response import bounced, excited, moved, phasor, rolled, wheels_of
@@ -342,17 +340,6 @@ class VerticalVehicle(VehicleFamily, ResponseGenerator):
         if all(getattr(vehicle, name) is None for name in GEOMETRY):
             return QuarterCar(vehicle, self.device)
         return replace(self, vehicle=vehicle)
-
-    def dynamic_stiffness(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> Tensor:
-        """Return kappa_p and kappa_s of the measured bogie, (n_vehicles, 2, n_freq), [N/m]."""
-        p, omega = self._prepared(ratios, frequencies_hz)
-        return torch.stack(
-            [
-                element(p, "", self.parts).at(omega)
-                for element in (primary_element, secondary_element)
-            ],
-            dim=1,
-        )
 
     def motion_system(self, ratios: ArrayLike) -> LinearSystem:
         """Return the equations of motion of one vehicle, its ratios (5,), (6,) or all columns.

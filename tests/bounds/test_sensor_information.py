@@ -12,7 +12,7 @@ from trips_reference import pitching_numbers, pitching_transfer
 from vehicles import AM96
 
 from suspnet.bounds.information import cramer_rao, fisher_information
-from suspnet.bounds.sensor_information import ROWS, recording_information
+from suspnet.bounds.sensor_information import recording_information
 from suspnet.curves.estimates import EstimateSettings
 from suspnet.vehicle import PARAMETERS, QuarterCar, VerticalVehicle
 
@@ -257,20 +257,6 @@ def test_information_with_cross_level_and_uncertain_numbers_equals_naive_matrice
 # limit
 
 
-def test_cross_level_of_next_to_nothing_leaves_the_information_of_one_input():
-    ratios = np.stack([np.ones(5), DEGRADED])
-    counts = [[1, 1, 1], [1, 1, 0], [3, 1, 1]]
-    lateral = {"parts": ("roll",), "nominal": {"cross_level": 1e-14}}
-    rolling = VerticalVehicle(AM96, sensor_lateral_m=(1.0, 1.0, 1.0), **lateral)
-    assert rolling.channels(torch.ones(1, 5), torch.ones(1)).shape[1] == 2
-    found, expected = (
-        recording_information(observer(one), ratios, PARAMETERS, counts)
-        for one in (rolling, PITCHING)
-    )
-    for one, other in zip(found.reshape(-1, 5, 5), expected.reshape(-1, 5, 5), strict=True):
-        assert_alike(one, other, 1e-8)
-
-
 @pytest.mark.parametrize(
     "snr_db", [0.0, 34.0, *(pytest.param(snr, marks=pytest.mark.slow) for snr in (15.0, 60.0))]
 )
@@ -318,13 +304,6 @@ def test_without_the_axle_box_a_quarter_car_shows_ratios_only():
     np.testing.assert_allclose(scaled.sum(axis=1), 0, atol=1e-9 * np.abs(scaled).max())
 
 
-def test_one_sensor_alone_tells_nothing():
-    for place in np.eye(3):
-        source = SETTINGS.observer(QUARTER_CAR)
-        found = recording_information(source, DEGRADED[None], PARAMETERS, [place])
-        assert (found == 0).all()
-
-
 # property
 
 
@@ -335,50 +314,6 @@ def test_two_sensors_at_each_place_halve_the_noise():
     )
     once = recording_information(quiet.observer(QUARTER_CAR), DEGRADED[None], PARAMETERS, [THREE])
     assert_alike(twice[0, 0], once[0, 0], 1e-9)
-
-
-def test_one_more_sensor_never_hurts():
-    source = SETTINGS.observer(PITCHING)
-    counts = np.vstack([THREE, THREE + np.eye(3)])
-    less, *more = recording_information(source, DEGRADED[None], PARAMETERS, counts)
-    size = np.sqrt(np.outer(np.diag(less[0]), np.diag(less[0])))
-    for found in more:
-        gain = np.linalg.eigvalsh((found[0] - less[0]) / size)
-        assert gain.min() > -1e-9
-        assert gain.max() > 1e-3
-
-
-def test_information_grows_with_the_averages():
-    found = []
-    for minutes in (10.0, 80.0):
-        source = observer(QUARTER_CAR, minutes=minutes)
-        information = recording_information(source, DEGRADED[None], PARAMETERS, [THREE])
-        found.append(information[0, 0] / source.settings.n_averages)
-    assert_alike(found[1], found[0], 1e-10)
-
-
-@pytest.mark.parametrize(
-    "welch", [{"segment_s": 40.0}, {"window": "boxcar", "overlap": 0.0}], ids=str
-)
-def test_information_hardly_depends_on_how_the_recording_is_cut(welch):
-    """What counts is the length of the recording and the band: n / r and bins balance."""
-    found = []
-    for options in ({}, welch):
-        source = observer(QUARTER_CAR, low_hz=0.8, high_hz=8.0, minutes=60.0, **options)
-        found.append(recording_information(source, DEGRADED[None], PARAMETERS, [THREE])[0])
-    # n counts averages to the ends of the recording, r leaves out what is below 1e-4
-    np.testing.assert_allclose(cramer_rao(found[1]) / cramer_rao(found[0]), 1.0, atol=0.03)
-
-
-def test_information_of_many_vehicles_equals_one_by_one():
-    source = observer(PITCHING)
-    ratios = np.random.default_rng(0).uniform(0.7, 1.4, (ROWS + 3, 5))
-    counts = [[1, 1, 1], [2, 1, 2]]
-    together = recording_information(source, ratios, ("k_s", "M_s"), counts)
-    assert together.shape == (2, ROWS + 3, 2, 2)
-    for row in (0, ROWS - 1, ROWS, ROWS + 2):
-        alone = recording_information(source, ratios[row : row + 1], ("k_s", "M_s"), counts)
-        np.testing.assert_allclose(together[:, row], alone[:, 0], rtol=1e-9)
 
 
 # failure

@@ -1,6 +1,5 @@
 """suspnet check: what it tells of good and of broken trips, and that it always ends in words."""
 
-import copy
 import json
 import random
 import re
@@ -14,8 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 import scipy.signal
 import yaml
-from blind_train import Run, Track, Train, record, write_trip
-from cli_runner import ROOT, python, typed
+from cli_runner import ROOT, typed
 from dying_readers import open_dying
 from hydra import compose, initialize_config_dir
 from matplotlib.figure import Figure
@@ -405,83 +403,3 @@ def test_commands_of_the_docs_are_understood():
                 words = shlex.split(match[2], comments=True)
                 found.append(parsers[match[1]].parse_args(words))
     assert len(found) >= 4
-
-
-@pytest.mark.slow
-def test_two_workers_find_what_one_finds(manifests, fleet, tmp_path):
-    output, words = fleet
-    options = ["--workers", "2", "-o", tmp_path / "o"]
-    done = python("-m", "suspnet", "check", *manifests[:N_GOOD], *options, cwd=tmp_path)
-    assert (done.returncode, errors(done)) == (0, "")
-    assert done.stdout.partition("->")[0] == words.partition("->")[0]
-    assert found_in(tmp_path / "o") == found_in(output)
-
-
-# many broken manifests
-
-
-def broken(content, number, rng):
-    """Break one to three places of a manifest's content, in place."""
-    junk = [None, -1, 1e30, float("nan"), "", "x" * 300, [], {}, [1], {"a": 1}, True, "../..", "\0"]
-    for _ in range(1 + number % 3):
-        node = content
-        while True:  # ends: a manifest is a tree
-            keys = list(range(len(node))) if isinstance(node, list) else list(node)
-            key = rng.choice(keys)
-            if isinstance(node[key], dict | list) and node[key] and rng.random() < 0.8:
-                node = node[key]
-                continue
-            node[key] = rng.choice(junk)
-            break
-    if rng.random() < 0.2:
-        content["extra"] = rng.choice(junk)
-    return content
-
-
-def write_broken(folder, manifest, n):
-    """Write broken copies of a manifest; some may still be right."""
-    content = yaml.safe_load(manifest.read_text())
-    for source in [content["speed"], *content["channels"].values()]:
-        source["file"] = str(manifest.parent / source["file"])
-    rng = random.Random(0)
-    for number in range(n):
-        text = yaml.dump(broken(copy.deepcopy(content), number, rng), Dumper=yaml.CSafeDumper)
-        if rng.random() < 0.1:
-            text = text[: rng.randrange(len(text))]
-        (folder / f"t{number:05d}.yaml").write_text(text)
-
-
-@pytest.mark.parametrize("n", [10, pytest.param(40, marks=pytest.mark.slow)])
-def test_broken_manifests_are_told(manifests, tmp_path, n):
-    write_broken(tmp_path, manifests[0], n)
-    done = typed(check, tmp_path, "--no-pictures", "-o", tmp_path / "o", cwd=tmp_path)
-    assert done.returncode == 1
-    assert errors(done) == ""
-    assert done.stderr.startswith(f"trips: 0 of {n} [")
-    trips = found_in(tmp_path / "o")["trips"]
-    assert len(trips) == n
-    for trip in trips:
-        assert (trip["state"] == PROBLEM) == bool(trip["problems"])
-        assert not any("Error: " in problem for problem in trip["problems"]), trip
-
-
-@pytest.mark.slow
-def test_bogie_and_axle_of_the_manifest_are_checked_if_the_direction_is_stated(settings, tmp_path):
-    run, track = Run(minutes=12.0), Track()
-    signals = record(Train.scattered(0), track, run, 0)
-    path = write_trip(tmp_path, "trip", signals, run)
-    content = yaml.safe_load(path.read_text())
-    words = "the trip fits the leading axle of the leading bogie, with a misfit of "
-    for given, asked in (
-        ({}, ""),
-        ({"bogie": "trailing"}, "`bogie`"),
-        ({"axle": "trailing"}, "`axle`"),
-        ({"bogie": "trailing", "direction": None}, ""),
-    ):
-        path.write_text(yaml.safe_dump(content | given))
-        found = check_trip(path, settings)
-        assert found.shows_parts or asked
-        problems = [one for one in found.problems if one.startswith(words)]
-        assert [one.endswith(f"; correct {asked} in the manifests") for one in problems] == [
-            True
-        ] * bool(asked)

@@ -70,12 +70,3 @@ def test_no_process_of_a_program_imports_from_the_current_folder(program, start,
     printed = ran([*started, program, "--plugin", tmp_path / "probe.py", "--help"], cwd)
     assert "spawn" in printed
     assert program in printed
-
-
-@pytest.mark.slow
-def test_workers_of_a_simulation_import_nothing_from_the_current_folder(tmp_path):
-    cwd = planted(tmp_path / "recordings", PLANTED)
-    short = ("out=trips", "fleet.n_trips=2", "fleet.minutes=0.5", "workers=2", "progress=false")
-    printed = ran([Path(sys.executable).with_name("suspnet"), "simulate", *short], cwd)
-    assert "2 trips of scenario" in printed
-    assert "n_healthy=2 " in printed

@@ -31,26 +31,17 @@ PROGRAMS = {
     "history": (history, []),
 }
 USERS = {
-    ".env.template": "PASSWORD=",
     ".bashrc.original": "alias",
     ".config.yaml.0123abcd": "mine",
     "config.yaml": "mine: true",
     "metrics.json": "{}",
     "model.json": "{}",
-    "multirun.yaml": "mine: true",
     "train.log": "mine",
-    "error.txt": "mine",
-    "fleet.json": "[]",
-    "report.html": "<html>",
     "check.json": "{}",
-    "trips.csv": "a,b",
     "unfinished.json": '{"made_from": "x"}',
     "sub/error.txt": "mine",
-    "sub/config.yaml": "mine",
-    "experiment/best.yaml": "mine",
     "events.out.tfevents.1.host.2.3": "events of another project",
     ".hydra/config.yaml": "mine",
-    ".hydra/overrides.yaml": "[]",
     "empty": "",
 }
 """Files of a user with the names of what the programs write, or once removed."""
@@ -143,34 +134,25 @@ FORGED = {
 }
 NAMED = [
     *[
-        Attack(f"{key}_{i}_{place}", (*(("-m", "seed=1,2") if "sweep" in key else ()),
+        Attack(f"{key}_{place}", (*(("-m", "seed=1,2") if "sweep" in key else ()),
                f"{key}={place}"), words="suspnet did not write it here", small=place == "HOME")
         for key in ("hydra.run.dir", "hydra.sweep.dir", "resume")
-        for i, place in enumerate(("HOME", "LINK", "HOME/deep/.."))
+        for place in ("HOME", "LINK")
     ],
     *[
-        Attack(f"forged_{name}_{i}", given, ledger=lines)
+        Attack(f"forged_{name}", ("hydra.run.dir=HOME",), ledger=lines)
         for name, lines in FORGED.items()
-        for i, given in enumerate((("hydra.run.dir=HOME",), ("-m", "seed=1,2", "resume=HOME")))
     ],
     Attack("in_home", ("hydra.run.dir=.",), words="suspnet did not write it here", small=True),
     Attack("in_home_resume", ("resume=.",)),
-    Attack("in_home_sweep", ("-m", "seed=1,2", "hydra.sweep.dir=.")),
     *[
         Attack(f"subdir_{i}", ("-m", "seed=1,2", f"hydra.sweep.subdir={place}"))
-        for i, place in enumerate(("HOME", "..", "a/../../x"))
+        for i, place in enumerate(("HOME", ".."))
     ],
     Attack("job", ("job=../../home",)),
-    *[
-        Attack(f"evaluate_{i}", given, program="evaluate")
-        for i, given in enumerate((("hydra.run.dir=HOME",), ("resume=LINK",)))
-    ],
-    *[
-        Attack(f"out_{i}", (f"out={place}",), program="simulate", ledger=lines, small=i == 0)
-        for i, (place, lines) in enumerate(
-            (("HOME", None), ("HOME", FORGED["absolute"]))
-        )
-    ],
+    Attack("evaluate", ("resume=LINK",), program="evaluate"),
+    Attack("out", ("out=HOME",), program="simulate", small=True),
+    Attack("out_forged", ("out=HOME",), program="simulate", ledger=FORGED["absolute"]),
 ]  # fmt: skip
 ALL = {a.name: a for a in NAMED}
 

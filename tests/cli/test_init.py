@@ -188,20 +188,6 @@ def test_odd_names_of_columns_and_files_come_back(tmp_path):
         assert (source["file"], source["column"]) == (file.name, name)
 
 
-def test_manifest_that_exists_is_left(manifests, tmp_path):
-    file = manifests[0].with_suffix("") / "body.parquet"
-    (tmp_path / "trip.yaml").write_text("mine")
-    done = typed(init, file, "-o", tmp_path / "trip.yaml", cwd=tmp_path)
-    assert done.returncode == 1
-    assert "exists; --force replaces it" in done.stderr
-    assert (tmp_path / "trip.yaml").read_text() == "mine"
-    named = typed(init, file, "-o", tmp_path / "trip.csv", cwd=tmp_path)
-    assert "must end with .yaml" in named.stderr
-    said = (*SAID, "speed=70", "unit=g", "rate_hz=250", "--force")
-    others = [file.with_stem(name) for name in CHANNELS[:2]]
-    assert "body" in written(tmp_path, file, *others, *said)
-
-
 def test_files_that_cannot_be_read_are_told_at_once(tmp_path):
     (tmp_path / "noise.csv").write_bytes(np.random.default_rng(0).bytes(20_000))
     (tmp_path / "cut.parquet").write_bytes(b"PAR1")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from cli_runner import SMALL, command, typed
+from cli_runner import SMALL, typed
 
 from suspnet.cli import evaluate, monitor, replay, serve, simulate, train
 from suspnet.cli.config_files import CONFIGS
@@ -163,12 +163,6 @@ def test_attack_is_refused_by_each_program(program, text, tmp_path, monkeypatch)
     said = NO_WORDS if "now" in text else NOT_SET
     attack = ("x/evil.yaml", GLOBAL + text, ("+x=evil", *OTHER_PROGRAMS[program]), said)
     refused(program, attack, tmp_path, monkeypatch)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["hydra/launcher/basic.yaml", "experiment/evil.yaml", "pickle"])
-def test_attack_is_refused_in_a_process(name, tmp_path, monkeypatch):
-    refused("train.py", ATTACKS[name], tmp_path, monkeypatch, command)
 
 
 VEHICLE = yaml.safe_dump(yaml.safe_load(Path(CONFIGS, "vehicle", "am96.yaml").read_text()))

@@ -25,17 +25,17 @@ def folder(program, *overrides, key="run"):
 @pytest.mark.parametrize(
     ("program", "overrides", "expected"),
     [
-        ("train", [], ("train", "_multi_location_primary_msvr")),
-        ("train", ["model=svr", "group=secondary"], ("train", "_multi_location_secondary_svr")),
+        ("train", [], ("train", "_primary_msvr")),
+        ("train", ["model=svr", "group=secondary"], ("train", "_secondary_svr")),
         (
             "train",
             ["model.C=1e3", "vehicle=ice3", "progress=false", "data.rates_hz=[1,2]", "data=trips"],
-            ("train", "_multi_location_primary_msvr_C_1e3_ice3_rates_hz_1-2_trips"),
+            ("train", "_primary_msvr_C_1e3_ice3_rates_hz_1-2_trips"),
         ),
         (
             "train",
             ["experiment=trips", "speed_m_per_s=50"],
-            ("trips", "_trips_all_msvr_speed_m_per_s_50"),
+            ("trips", "_all_msvr_speed_m_per_s_50"),
         ),
         ("evaluate", ["run=outputs/train/x", "trips=trips/worn"], ("evaluate", "_trips_worn")),
         ("evaluate", ["run=x", "seed=3"], ("evaluate", "_seed_3")),

@@ -10,7 +10,7 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from suspnet.cli import check, init, options, train
-from suspnet.cli.config_files import CONFIGS, SWITCHES, TABLES, phrase
+from suspnet.cli.config_files import CONFIGS, TABLES
 from suspnet.cli.program import n_threads
 from suspnet.trains.simulation.true_vehicle import scattered
 
@@ -105,54 +105,6 @@ def test_page_of_settings_has_a_section_for_every_group_and_every_file():
     headings = set(re.findall(r"^## Group `([\w/]+)`$", page, re.MULTILINE))
     assert headings == groups - {"base", "hydra"} | {"hydra/launcher"}
     assert all(file.read_text().rstrip() in page for file in FILES)
-
-
-def test_comments_are_read_where_they_stand(tmp_path):
-    file = tmp_path / "x.yaml"
-    file.write_text(
-        "# @package _global_\n"
-        "# python train.py x=y\n"
-        "# What it is.\n"
-        "# And more.\n"
-        "first: 1\n"
-        "# apart\n"
-        "\n"
-        "second: '# none' # of the value\n"
-        "# On the\n"
-        "# third\n"
-        "third: &it\n"
-        "  # inside\n"
-        "  a.b: {x: 1}\n"
-        "# less indented\n"
-        "  c: |\n"
-        "    # text\n"
-        "fifth: [*it, {# no\n"
-        "  e: 1}]\n"
-    )
-    found = read_comments(file)
-    assert phrase(file) == "What it is"
-    assert found.above == {("third",): "On the third", ("third", "a.b"): "inside"}
-    file.write_text("")
-    assert (phrase(file), read_comments.__wrapped__(file).above) == ("", {})
-
-
-def test_switches_are_those_called_so():
-    switches = {
-        keys[-1]
-        for file in FILES
-        for keys, sentence in read_comments(file).above.items()
-        if re.search(r"\[true or false(; .*)?\]$", sentence) and keys[-1] != "tls"
-    }
-    assert switches == SWITCHES - {"tls"}
-
-
-def test_script_writes_the_declared_sentence_over_another_comment(tmp_path):
-    file = tmp_path / "model" / "svr.yaml"
-    file.parent.mkdir()
-    shipped = (Path(CONFIGS) / "model" / "svr.yaml").read_text(encoding="utf-8")
-    file.write_text(shipped.replace("Stopping tolerance of libsvm [above 0]", "Other\n# words [m]"))
-    assert "# Other\n# words [m]\ntol:" in file.read_text(encoding="utf-8")
-    assert commented(file) == shipped
 
 
 def test_ranges_of_the_programs_are_those_of_their_checks(quarter_car):

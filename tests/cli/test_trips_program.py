@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from cli_runner import ROOT, blank_figures, command, python, run_program, typed
+from cli_runner import blank_figures, command, python, run_program, typed
 from hydra import compose, initialize_config_dir
 from trip_fixtures import RATES_HZ, changed, model_at, signal
 from trip_records import HALF_WIDTHS
@@ -26,9 +26,6 @@ from suspnet.trains.recordings import formats
 from suspnet.trains.recordings.manifest import CHANNELS
 from suspnet.trains.simulation.true_vehicle import scattered, true_numbers
 
-VEHICLES = [path.stem for path in sorted((ROOT / "configs" / "vehicle").glob("*.yaml"))]
-CARS = ("sedan", "truck")
-"""Without geometry; so little of theirs is slow that it drowns in 34 dB of noise."""
 RATES = [f"fleet.sensors.{n}.rate_hz={r:g}" for n, r in zip(CHANNELS, RATES_HZ, strict=True)]
 SHORT = ["fleet.minutes=5", "progress=false", "workers=1", *RATES]
 SIMULATE = [*SHORT, "generator=best", "scatter=0"]
@@ -39,8 +36,6 @@ TRAIN = [
     *("data.rates_hz=[400,250,250]", "progress=false", "threads=1"),
     *("model.feature_map=nystroem", "model.n_components=512"),
 ]
-BAND = ["data.high_hz=9.9", "data.body_high_hz=9.0"]
-"""Narrower than usual, which trains a model in half of the time; [Hz]."""
 EVALUATE = ["progress=false", "monitor.workers=1"]
 SOME_WITHOUT_ESTIMATE = 2
 
@@ -51,7 +46,7 @@ def metrics(folder):
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """Return a run as test_both_directions.py trains one by the program."""
+    """Return the run of a model that reads trips."""
     folder = tmp_path_factory.mktemp("run")
     save_model(folder, model_at())
     return folder
@@ -106,34 +101,6 @@ def test_simulated_trips_are_read(run, trips, evaluated):
     config = (evaluated / "config.yaml").read_text()
     assert "min_averages: 10.0" in config
     assert f"trips: {trips}" in config
-
-
-@pytest.mark.slow  # am96 is that of every other test; test_configs.py builds each of them
-@pytest.mark.parametrize("vehicle", VEHICLES)
-def test_every_vehicle_works_by_its_name_alone(vehicle, no_figures, tmp_path):
-    snr, noise = [], []
-    if vehicle in CARS:  # simulated at 400 Hz, G_p is off by 1 % at 25 Hz: 60 dB show it
-        changes = ("snr_db=60", "rate_hz=2000")
-        snr = [f"fleet.sensors.{name}.{change}" for name in CHANNELS for change in changes]
-        noise = ["data.snr_db=60", "data.rates_hz=[2000,2000,2000]"]
-    name = f"vehicle={vehicle}"
-    folder, run = tmp_path / "trips", tmp_path / "run"
-    few = ["data.n_test=16", "data.n_calibrate=100", "figures=false"]
-    assert run_program(train, run, *TRAIN, *few, name, *noise) == 0
-    options = [f"out={folder}", "fleet.n_trips=2", name, *snr]
-    assert run_program(simulate, tmp_path / "log", *SIMULATE, *options) == 0
-    out = tmp_path / "out"
-    code = run_program(evaluate, out, f"run={run}", f"trips={folder}", *EVALUATE)
-    found = metrics(out)
-    assert code == {"none": 0, "unknown": 2}[found["severity"]]
-    if vehicle != "sedan":  # whose c_p is too uncertain to be judged
-        assert code == 0
-    assert found["n_estimated"] == 2
-    generator = "QuarterCar" if vehicle in CARS else "VerticalVehicle"
-    assert found["details"]["model"].endswith(generator)
-    for parameter, error in found["rms_error_percent"].items():
-        # two trips of 5 min, 1000 curves; a sedan's tyre has hardly any damping to be seen
-        assert 0 < error < (20 if (vehicle, parameter) == ("sedan", "c_p") else 5)
 
 
 @pytest.mark.parametrize(

@@ -87,6 +87,6 @@ def test_wrong_value_gets_one_line_before_anything_is_written(module, overrides,
     ("program", "n_values"), [pytest.param("train", 4, marks=pytest.mark.slow), ("simulate", 12)]
 )
 def test_some_wrong_values_end_in_one_line(program, n_values, tmp_path):
-    counts, failures = value_fuzz.fuzz(program, n_values, 5, tmp_path, n_bases=1)
+    counts, failures = value_fuzz.fuzz(program, n_values, 5, tmp_path)
     assert failures == []
     assert counts["refused"] > 0

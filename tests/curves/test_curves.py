@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import sys
 
 import numpy as np
 import pytest
@@ -24,11 +23,6 @@ def source(quarter_car, task):
         return Problem(quarter_car, problem or task(), settings, **changes)
 
     return build
-
-
-def assert_same(first, second):
-    for field in dataclasses.fields(FeatureData):
-        np.testing.assert_array_equal(getattr(first, field.name), getattr(second, field.name))
 
 
 # reference
@@ -149,15 +143,6 @@ def test_complete_drops_rows_without_a_feature():
     assert kept.outputs.tolist() == [[0.0], [2.0]]
     assert kept.ratios[:, 0].tolist() == [0.0, 2.0]
     assert kept.reasons.tolist() == [[0], [0]]
-
-
-@pytest.mark.parametrize(
-    ("stream", "name"), [(TRAIN, "training"), (TEST, "test"), (CALIBRATE, "calibration")]
-)
-def test_progress_bar_counts_curves_on_a_terminal(source, capsys, monkeypatch, stream, name):
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    source(progress=True).features(stream)
-    assert f"multi_location/primary {name} curves: 100%" in capsys.readouterr().err
 
 
 # failure

@@ -12,7 +12,6 @@ import torch
 import trips_reference
 from vehicles import AM96
 
-from suspnet.curves import expected_spectra as module
 from suspnet.curves.cross_spectra import PAIRS, CrossSpectra, moving_average_with, sample_spectra
 from suspnet.curves.estimates import SPEED_HALF_WIDTH, EstimateSettings
 from suspnet.curves.speeds import Speeds
@@ -371,13 +370,3 @@ def test_thinned_misfit_has_every_nth_bin_at_the_mean_speed_without_leakage():
     far = torch.full((1, 5), 1.3, dtype=torch.float64)
     sums = [float(one(far, rows).square().sum()) for one in (misfit, thin)]
     assert sums[1] == pytest.approx(sums[0], rel=0.05)
-
-
-def test_vehicles_at_once_do_not_change_spectra(monkeypatch):
-    vehicle = VerticalVehicle(AM96)
-    ratios = torch.rand(7, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(1)) + 0.5
-    usual = observer(generator=vehicle).expected(ratios)
-    monkeypatch.setattr(module, "IN_CACHE", 3 * (len(SETTINGS.frequencies_hz()) + 2))
-    found = observer(generator=vehicle).expected(ratios)
-    torch.testing.assert_close(found.auto, usual.auto, rtol=1e-13, atol=0)
-    torch.testing.assert_close(found.cross, usual.cross, rtol=1e-11, atol=0)

@@ -9,7 +9,7 @@ import torch
 
 from suspnet.curves.curves import add_noise
 from suspnet.curves.extraction import PEAK_NAMES, PeakFeatures
-from suspnet.curves.peaks import PeakFit, PeakReason, findpeaks
+from suspnet.curves.peaks import PeakReason, findpeaks
 from suspnet.vehicle import PARAMETERS
 
 GRID = 0.1 + 0.02 * torch.arange(996, dtype=torch.float64)
@@ -127,22 +127,6 @@ def test_largest_needs_no_secondary_curve(quarter_car):
     top = GRID[inside][curves[0, 0, inside].argmax()].item()
     assert table.values[0, 0].item() == pytest.approx(top, abs=0.05)
     assert findpeaks(curves[:, 0, inside], GRID[inside]).valid.all()
-
-
-@pytest.mark.parametrize("shape", ["lorentzian", "gaussian"])
-def test_window_scales_the_windows_of_all_fits(quarter_car, task, shape):
-    ratios = torch.as_tensor(task("joint", "all").sample(50, seed=1, stream=0))
-    noisy = add_noise(quarter_car.magnitudes(ratios, GRID), 34.0, seed=0)
-    inside = (GRID >= 0.2) & (GRID <= 15.0)
-    below = 0.3 if shape == "lorentzian" else 0.25
-    for factor in (0.7, 1.0, 1.4):
-        extractor = PeakFeatures(("primary_largest",), shape, window=factor)
-        fit = PeakFit(shape, 0.2, factor * below, factor * below, top=factor * 0.7)
-        peaks = findpeaks(noisy[:, 0, inside], GRID[inside], fit=fit)
-        expected = torch.stack([peaks.position_hz, peaks.height, peaks.width_hz], dim=1)
-        found = extractor.extract(noisy, GRID).values
-        torch.testing.assert_close(found, expected, rtol=0, atol=0, equal_nan=True)
-    assert PeakFeatures(window=1.0) == PeakFeatures()
 
 
 # failure

@@ -145,14 +145,3 @@ def test_mean_square_of_estimates_used_in_part_is_as_expected(generator):
 
 
 # property
-
-
-@pytest.mark.parametrize("make", [curve_misfit, estimate_misfit])
-def test_each_row_is_compared_with_its_own_curve_only(make):
-    misfit = make()
-    vehicles, rows = torch.as_tensor(OTHERS), torch.tensor([1, 1, 0])
-    together = misfit(vehicles, rows)
-    for i in range(3):
-        alone = misfit(vehicles[i : i + 1], rows[i : i + 1])
-        np.testing.assert_allclose(together[i : i + 1], alone, rtol=1e-12)
-    assert not torch.allclose(together[0], misfit(vehicles, torch.tensor([2, 1, 0]))[0])

@@ -127,16 +127,6 @@ def test_vehicles_of_the_three_streams_are_disjoint(task, name, group):
     assert not calibrate & (train | test)
 
 
-def test_calibration_vehicles_of_a_grid_begin_in_the_middle(task):
-    problem = task(step=0.1)
-    shuffled = problem.sample(problem.grid_size - 1, seed=5, stream=TRAIN)
-    half = problem.grid_size // 2
-    found = problem.sample(50, seed=5, stream=CALIBRATE)
-    np.testing.assert_array_equal(found, shuffled[half : half + 50])
-    whole = problem.sample(problem.grid_size, seed=5, stream=CALIBRATE)
-    assert len(as_set(whole)) == problem.grid_size
-
-
 @pytest.mark.parametrize(("name", "group"), [("own_curve", "secondary"), ("joint", "all")])
 @pytest.mark.parametrize("stream", [TRAIN, TEST, CALIBRATE])
 def test_same_seed_gives_the_same_sample_and_another_seed_another(task, name, group, stream):

@@ -11,15 +11,13 @@ from scipy.stats import norm
 from trip_fixtures import OUTPUTS, model_at
 from vehicles import AM96
 
-from suspnet.curves.cross_spectra import CrossSpectra, sample_spectra
 from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.expected_spectra import SPEED
 from suspnet.curves.speeds import Speeds
 from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.from_curves import corrected
-from suspnet.estimation.from_spectra import estimate_with_noise
 from suspnet.trains.spectra.steady_parts import combined, same_speed
-from suspnet.vehicle import PARAMETERS, QuarterCar, VerticalVehicle
+from suspnet.vehicle import PARAMETERS, VerticalVehicle
 
 ORDER = [PARAMETERS.index(name) for name in OUTPUTS]
 STILL = 44.0
@@ -109,25 +107,6 @@ def test_noise_free_estimates_are_corrected_to_the_truth(model):
 # limit
 
 
-def test_one_speed_has_one_node():
-    assert Speeds.of(70.0, 0.0) == Speeds((70.0,), (1.0,))
-
-
-def test_own_speed_changes_nothing():
-    observer = observer_at(70.0, high_hz=9.9)
-    same = observer.at(Speeds.of(70.0, 0.0))
-    assert torch.equal(same.noise_free(worn(2)), observer.noise_free(worn(2)))
-    assert not bool((observer.weak | observer.beyond).any())
-    curves = observer.observe(worn(2), 0)
-    assert observer.for_features(curves) is curves
-
-
-def test_speed_is_nothing_to_a_quarter_car():
-    observer = settings_at(70.0).observer(QuarterCar(AM96))
-    at = observer.at(Speeds.of(40.0, 1.0))
-    assert torch.equal(at.noise_free(worn(2)), observer.noise_free(worn(2)))
-
-
 # property
 
 
@@ -153,22 +132,6 @@ def test_weak_bins_are_bridged_by_straight_lines_relative_to_healthy():
     inner &= observer.frequencies_hz > 2.0
     expected = ramp.to(found.dtype).expand_as(found)
     torch.testing.assert_close(found[..., inner], expected[..., inner])
-
-
-@pytest.mark.slow
-def test_healthy_trips_of_the_own_vehicle_are_not_flagged_at_any_of_its_speeds():
-    model = model_at(STILL, n_train=400, n_calibrate=100)
-    for i, speed in enumerate((STILL, 0.95 * STILL, 1.05 * STILL)):
-        speeds = Speeds.of(speed, 0.2)
-        observer = model.settings.observer(model.generator).at(speeds)
-        source = torch.Generator().manual_seed(i)
-        mean = observer.expected(torch.ones(2, 5, dtype=torch.float64))
-        spectra = sample_spectra(mean, observer._correlating, source)
-        for auto, cross in zip(spectra.auto, spectra.cross, strict=True):
-            trip = CrossSpectra(auto, cross, spectra.n_averages)
-            found = estimate_with_noise(model, trip, 0.999, speeds)[0]
-            assert not found.flags.flagged.any()
-            assert ((found.low < 1) & (found.high > 1)).mean() >= 0.6
 
 
 def test_segments_are_grouped_by_their_speed():

@@ -1,7 +1,7 @@
 """Intervals of single trips follow their noise and hold the truth; what is odd is flagged."""
 
 from dataclasses import replace
-from itertools import chain, pairwise, repeat
+from itertools import chain, repeat
 from types import SimpleNamespace
 
 import numpy as np
@@ -234,12 +234,6 @@ def test_interval_goes_with_the_root_of_the_averages_where_noise_dominates(model
     np.testing.assert_allclose(noise[0] / noise[1], 2, rtol=0.25)
 
 
-def test_noise_part_is_never_taken_out_of_the_interval(model):
-    for share in (0.4, 1.0, 10.0):
-        spectra = row(expected(model, ratios_of(WORN), share))
-        assert (read(model, spectra).half_widths >= 0.999 * noise_part(model, spectra)).all()
-
-
 def test_error_of_the_regression_stays_however_long_the_trip(model):
     conformal = Conformal(3 * model.intervals.conformal.scores)
     poor = replace(model, intervals=replace(model.intervals, conformal=conformal))
@@ -253,14 +247,6 @@ def test_error_of_the_regression_stays_however_long_the_trip(model):
 
 
 # property
-
-
-def test_interval_widens_with_level_and_with_fewer_averages(model):
-    spectra = row(expected(model, ratios_of(WORN)))
-    narrow, wide = (read(model, spectra, level).half_widths for level in (0.5, 0.95))
-    assert (narrow < wide).all()
-    shares = [half_widths(model, share) for share in (0.4, 1.0, 3.0)]
-    assert all((a > b).all() for a, b in pairwise(shares))
 
 
 @pytest.mark.parametrize("kind", ["as predicted", "refined"])
@@ -319,18 +305,6 @@ def test_intervals_hold_the_truth_at_other_averages(model, kind, share):
     inside, n_flagged = held(one, share, 10)
     assert inside.mean() == pytest.approx(LEVEL, abs=3 * 0.073)
     assert n_flagged <= 1
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["as predicted", "refined"])
-@pytest.mark.parametrize("share", [0.25, 1.0, 4.0])
-def test_intervals_hold_the_truth_of_many(kind, share):
-    """300 trips: 90 % +- 1.7 %, and 1.3 % of the calibration with 500 scores."""
-    model = model_at(n_calibrate=1000)
-    one = refined(model) if kind == "refined" else model
-    inside, n_flagged = held(one, share, 300)
-    assert inside.mean() == pytest.approx(LEVEL, abs=3 * 0.022)
-    assert n_flagged <= 9
 
 
 @pytest.mark.parametrize(

@@ -81,34 +81,6 @@ def test_coverage_is_that_asked_for_at_every_residual_scale(intervals):
     assert within.all(axis=1).mean() < 0.85
 
 
-def test_coverage_over_many_calibrations_is_the_rank_over_one_more_than_the_scores():
-    """20 samples teach, 20 give scores: the 19th largest of 20 covers 19 / 21 on average.
-
-    Each output is a calibration of its own. 18 / 21 is 0.857, one-sided scores give 0.81, and
-    scores of the samples that taught the scale 0.87.
-    """
-    n, n_new, n_inputs, n_outputs = 40, 200, 10, 300
-    covered = []
-    for seed in range(20):
-        rng = np.random.default_rng(seed)
-        inputs = rng.standard_normal((n + n_new, n_inputs))
-        spread = np.exp(inputs @ rng.standard_normal((n_inputs, n_outputs)) * 0.25)
-        uniform, heavy = (
-            np.sqrt(3) * rng.uniform(-1, 1, spread.shape),
-            rng.standard_t(3, spread.shape),
-        )
-        shape = np.where(np.arange(n_outputs) < n_outputs // 2, uniform, heavy)
-        wrong = np.geomspace(1e-3, 0.3, n_outputs) * spread * shape
-        found = Intervals.learnt(inputs[:n], wrong[:n], log=True)
-        scales = found.residual_scale.predict(inputs[n:])
-        low, high = found.ends(np.ones((n_new, n_outputs)), scales, LEVEL)
-        truth = np.exp(wrong[n:])
-        covered.append(((low <= truth) & (truth <= high)).mean(axis=0))
-    for part in np.array_split(np.mean(covered, axis=0), 2):  # outputs of either shape
-        # the mean over 150 outputs and 20 draws is known to 0.003
-        assert part.mean() == pytest.approx(19 / 21, abs=0.012)
-
-
 @pytest.mark.parametrize("log", [True, False])
 @pytest.mark.parametrize("joint", [True, False])
 def test_ends_are_the_estimate_and_its_half_width(log, joint):
@@ -194,25 +166,6 @@ def test_one_output_and_one_row_keep_their_shape():
     intervals = Intervals(Conformal.of(wrong[:, :1], learnt.predict(inputs)), True, learnt)
     restored = Intervals.restored(intervals.state())
     assert restored.residual_scale.predict(inputs).shape == (200, 1)
-
-
-def test_arguments_stay_untouched(learnt):
-    inputs, wrong, _ = samples(200, seed=7)
-    before = inputs.copy(), wrong.copy()
-    ResidualScale.learnt(inputs, wrong).predict(inputs)
-    np.testing.assert_array_equal(inputs, before[0])
-    np.testing.assert_array_equal(wrong, before[1])
-
-
-def test_restored_intervals_are_the_same_bit_for_bit(intervals):
-    restored = Intervals.restored(intervals.state())
-    inputs = samples(100, seed=8)[0]
-    scales = intervals.residual_scale.predict(inputs)
-    np.testing.assert_array_equal(restored.residual_scale.predict(inputs), scales)
-    estimates = np.full((100, 2), 1.3)
-    for joint in (True, False):
-        ends = [one.ends(estimates, scales, 0.8, joint) for one in (intervals, restored)]
-        np.testing.assert_array_equal(ends[0], ends[1])
 
 
 @pytest.mark.parametrize("log", [True, False])

@@ -15,7 +15,6 @@ from suspnet.estimation.flags import (
     FALSE_ALARMS,
     MISFIT_DEVIATIONS,
     N_NEIGHBOURS,
-    N_REFERENCE,
     OODDetector,
 )
 from suspnet.estimation.refine import Refined, refine
@@ -86,23 +85,11 @@ def test_threshold_of_the_distance_is_a_quantile_of_fresh_curves(monkeypatch):
     assert found == pytest.approx(distances[-3], rel=1e-6)
 
 
-def test_threshold_of_the_distance_is_the_largest_where_fresh_curves_are_few():
-    reference, fresh = cloud(50, 5, 2), cloud(100, 6, 2)
-    found = OODDetector.learnt(reference, fresh, np.ones(10)).distance_threshold
-    assert found == pytest.approx(max(distance(point, reference) for point in fresh), rel=1e-6)
-
-
 def test_threshold_of_the_misfit_follows_mean_and_deviation():
     misfits = np.array([1.0, 1.02, 0.98, 1.04])
     deviation = math.sqrt((0.01**2 + 0.01**2 + 0.03**2 + 0.03**2) / 4)
     found = OODDetector.learnt(cloud(20, 0), cloud(20, 1), misfits).misfit_threshold
     assert found == pytest.approx(1.01 + MISFIT_DEVIATIONS * deviation, rel=1e-12)
-
-
-def test_reference_is_the_first_of_the_training_curves():
-    training = cloud(N_REFERENCE + 10, 0, 2)
-    detector = OODDetector.learnt(training, cloud(50, 1, 2), np.ones(10))
-    np.testing.assert_array_equal(detector.reference, training[:N_REFERENCE])
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])
@@ -205,18 +192,6 @@ def test_parameter_outside_its_range_is_named_with_the_range(detector, problem):
     )
 
 
-def test_each_curve_has_its_own_reasons(detector, problem):
-    refined = fitted(3)
-    refined.ratios[[1, 2], [0, 3]] = [4.0, 0.1]
-    found = flags(detector, problem, refined)
-    assert found.flagged.tolist() == [False, True, True]
-    assert [words.split(" lies")[0] for words in found.reasons] == [
-        "",
-        "k_p at about 400 %",
-        "c_s at about 10 %",
-    ]
-
-
 def test_curve_that_is_not_explained_is_said_with_numbers(problem):
     detector = OODDetector(cloud(50, 0), 10.0, 1.25)
     found = flags(detector, problem, fitted(misfit=3.4567))
@@ -252,16 +227,6 @@ def test_flagged_is_any_of_the_kinds():
     assert flags.flagged.tolist() == [True] * 5 + [False]
 
 
-def test_flags_without_a_kind_keep_the_order_of_the_others():
-    both = Flags.none(2).with_kind("range", "low").with_kind("misfit", "odd")
-    both = both.with_kind("range", "high")
-    assert both.reasons == ("low; odd; high",) * 2
-    assert both.without("misfit").reasons == ("low; high",) * 2
-    assert both.without("range", "cloud") == Flags.none(2).with_kind("misfit", "odd")
-    assert not both.without("range", "misfit").flagged.any()
-    assert Flags.none(0).found.shape == (0, len(KINDS))
-
-
 def test_few_curves_like_the_training_curves_are_flagged(problem):
     """What is learnt from some vehicles' curves holds for others'."""
     observer = CurveSettings(snr_db=34.0, low_hz=0.3, high_hz=15.0, step_hz=0.1).observer(
@@ -286,19 +251,6 @@ def test_few_curves_like_the_training_curves_are_flagged(problem):
 
 def cloud_of(problem, n, seed):
     return np.log(problem.sample(n, seed, TEST))
-
-
-def test_restored_scope_gives_the_same_flags_bit_for_bit(detector, problem):
-    restored = OODDetector.restored(detector.state())
-    points = cloud(30, 8)
-    np.testing.assert_array_equal(restored.distances(points), detector.distances(points))
-    assert restored.distance_threshold == detector.distance_threshold
-    assert restored.misfit_threshold == detector.misfit_threshold
-    refined = fitted(30, misfit=1.2, c_s=3.0)
-    first, second = (flags(one, problem, refined, 2 * points) for one in (detector, restored))
-    np.testing.assert_array_equal(first.found, second.found)
-    assert first.reasons == second.reasons
-    assert first.found[:, CLOUD].any()
 
 
 # failure

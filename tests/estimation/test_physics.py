@@ -9,8 +9,8 @@ import torch
 from trip_fixtures import OUTPUTS, model_at
 
 from suspnet.curves.problem import Problem
-from suspnet.estimation.estimate import KINDS, Estimate, Flags
-from suspnet.estimation.flags import COSTLY, NOT_CONVERGED, UNTRUSTED, Residual, Unexplained
+from suspnet.estimation.estimate import KINDS, Estimate
+from suspnet.estimation.flags import COSTLY, NOT_CONVERGED, Residual, Unexplained
 from suspnet.estimation.from_curves import estimate_curves
 from suspnet.estimation.from_spectra import COMMON, UNWORN, estimate_with_noise, unworn_deviations
 from suspnet.ground.types import FloatArray
@@ -160,14 +160,6 @@ def test_curves_are_flagged_and_wider_too():
     np.testing.assert_allclose(found.half_widths, expected, rtol=1e-9)
     assert found.flags.found[:, KINDS.index("physics")].all()
     assert "leaves 5.7 times" in found.flags.reasons[1]
-
-
-def test_words_follow_those_of_other_flags():
-    flags = Flags(((("misfit", "odd"),),))
-    found = Unexplained(UNTRUSTED + 0.1, COSTS).flagged(flags)
-    assert found.reasons[0].startswith("odd; the commissioned vehicle leaves 5.1 times")
-    assert not flags.has("physics")[0]
-    assert Unexplained(UNTRUSTED, COSTS).flagged(flags) is flags
 
 
 def test_small_misfit_that_costs_much_is_incomplete_too():

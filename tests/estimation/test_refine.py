@@ -202,21 +202,6 @@ def test_curves_that_do_not_tell_give_infinite_deviations(task):
     np.testing.assert_allclose(told, truth, rtol=0.02)
 
 
-@pytest.mark.parametrize(
-    "start",
-    [math.nan, 1e9, *(pytest.param(x, marks=pytest.mark.slow) for x in (-1.0, 1e-9, math.inf))],
-)
-def test_starts_that_mean_nothing_end_where_good_ones_do(joint, start):
-    problem, _, misfit, found = joint
-    n = 16
-    some = CurveMisfit(OBSERVER, misfit.observed[:n])
-    other = refine(problem, some, np.full((n, 5), start))
-    assert other.converged.all()
-    # two fits that each end within 1e-5 of the same optimum
-    np.testing.assert_allclose(other.ratios, found.ratios[:n], rtol=1e-4)
-    np.testing.assert_allclose(other.misfit, found.misfit[:n], rtol=1e-8)
-
-
 def test_parameter_that_ran_against_its_bound_comes_back(joint):
     """A clamp inside the residual would have no slope there: one fit in a hundred ended so."""
     problem, ratios, misfit, found = joint
@@ -290,15 +275,6 @@ def test_vehicles_somewhat_beyond_the_range_are_found(task):
     found = refine(problem, misfit, ratios.clip(0.5, 2.0))
     np.testing.assert_allclose(found.ratios[[0, 1], [0, 2]], [2.6, 0.35], rtol=0.05)
     assert found.misfit.max() < 1.2
-
-
-def test_estimates_stay_untouched(joint):
-    problem, ratios, misfit, _ = joint
-    start = starts(problem, ratios)[:4]
-    start[1] = np.nan
-    before = start.copy()
-    refine(problem, CurveMisfit(OBSERVER, misfit.observed[:4]), start)
-    np.testing.assert_array_equal(start, before)
 
 
 def test_chosen_columns_and_joined_batches(joint):

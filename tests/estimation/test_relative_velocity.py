@@ -213,7 +213,7 @@ def test_friction_and_blow_off_are_learnt_from_rough_and_smooth_trips():
     for i, (share, u) in enumerate(zip((truth[0], 0.0), truth[1:], strict=True)):
         for faster in (0.7, 1.5):
             own, at_rest = faster * healthy[i], law.healthy_m_per_s[i]
-            slope_of, offset = linear(law.drawn(), NAMES[2 * i + 1], own, at_rest)
+            slope_of, offset = linear(law.draws(), NAMES[2 * i + 1], own, at_rest)
             left = (slope_of + offset).numpy()
             true, reference = (seen(1.0, share, u, v, healthy[i]) for v in (own, at_rest))
             assert abs(left.mean() - true / reference) < 0.03, (i, faster)

@@ -105,15 +105,6 @@ def test_folder_that_cannot_be_written_costs_one_warning(tmp_path, monkeypatch, 
     assert "cannot be written, which costs time only: no way" in caplog.text
 
 
-def test_folder_that_is_a_file_costs_one_warning_for_each_direction(tmp_path, caplog):
-    (tmp_path / "cache").write_text("")
-    kept = Cache(tmp_path / "cache", "features")
-    for _ in range(2):
-        assert kept.read(MADE_FROM) is None
-        kept.write(MADE_FROM, ARRAYS)
-    assert len(caplog.messages) == 2
-
-
 def test_no_folder_keeps_nothing():
     Cache(None, "features").write(MADE_FROM, ARRAYS)
     assert Cache(None, "features").read(MADE_FROM) is None

@@ -13,7 +13,6 @@ import pytest
 from suspnet.estimation.checkpoint import SCHEMA_VERSION, load_model
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.ground import storage
-from suspnet.ground.cache import Cache
 from suspnet.ground.storage import (
     DamagedFileError,
     NotPlainError,
@@ -70,21 +69,6 @@ def test_what_is_no_plain_file_is_refused_at_once(tmp_path, make, read):
     with pytest.raises((DamagedFileError, NotPlainError), match=r"file is (a|of) .*") as caught:
         read(tmp_path / "file")
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("make", [pipe, hole])
-def test_manifest_that_is_no_plain_file_is_refused_at_once(tmp_path, make):
-    make(tmp_path / "trip.yaml")
-    with pytest.raises(TripError, match=r"trip\.yaml is (a|of) .*"):
-        read_manifest(tmp_path / "trip.yaml")
-
-
-@pytest.mark.parametrize("make", [pipe, hole])
-def test_cache_file_that_is_no_plain_file_is_not_used(tmp_path, make, caplog):
-    cache = Cache(tmp_path, "features")
-    make(cache.path({"seed": 1}))
-    assert cache.read({"seed": 1}) is None
-    assert "ignoring a damaged cache file" in caplog.text
 
 
 @pytest.mark.parametrize("make", [pipe, hole])

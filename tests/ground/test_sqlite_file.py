@@ -113,6 +113,16 @@ def test_files_of_others_are_refused_unchanged(make, kind, tmp_path):
     assert listing(place) == before
 
 
+@pytest.mark.parametrize("kind", OPENED)
+def test_reason_of_a_refusal_is_named(kind, tmp_path):
+    opened, error = OPENED[kind]
+    text(tmp_path / "theirs")
+    with pytest.raises(error, match="is not an SQLite database"):
+        opened(tmp_path / "theirs")
+    with pytest.raises(error, match="there is no folder"):
+        opened(tmp_path / "none" / "theirs")
+
+
 @pytest.mark.parametrize("make", [tables, waiting, fifo])
 @pytest.mark.timeout(60)
 def test_programs_refuse_files_of_others_unchanged(make, tmp_path):

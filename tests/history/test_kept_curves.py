@@ -63,14 +63,6 @@ def test_whatever_curves_hold_comes_back(tmp_path_factory, data, n_freq):
         np.testing.assert_array_equal(getattr(found, name), array)
 
 
-def test_infinite_responses_come_back(store):
-    odd = np.array([[np.inf + 1j, 1 - np.inf * 1j], [complex(np.nan, -np.inf), complex(0, np.inf)]])
-    store.write([replace(trip(0), curves=replace(curves(n_freq=2), responses=odd))])
-    (found,) = store.responses(VEHICLE, PLACE)
-    np.testing.assert_array_equal(found.responses.real, odd.real)
-    np.testing.assert_array_equal(found.responses.imag, odd.imag)
-
-
 # property
 
 
@@ -118,14 +110,6 @@ def test_a_trip_read_again_replaces_its_curves(store):
     assert [one.trip for one in found] == ["trip_002", "trip_003", "trip_004"]
     expected = trip(4, change={"k_p": 0.5}).curves
     np.testing.assert_array_equal(found[-1].responses, expected.responses)
-
-
-def test_curves_of_suspensions_are_kept_apart(store):
-    store.write([trip(i, place=place) for place in (PLACE, Place("x")) for i in (0, 1)])
-    store.write([trip(2, place=Place("x"))])
-    assert kept(store) == ["trip_000", "trip_001"]
-    assert len(store.responses(VEHICLE, Place("x"))) == 3
-    assert store.responses("am96", PLACE) == []
 
 
 # failure

@@ -211,22 +211,6 @@ def test_a_wrong_event_is_refused(fields, message):
         Event(*fields)
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (b"no database at all, but some text" * 40, "is not an SQLite database"),
-        (None, "there is no folder"),
-    ],
-)
-def test_a_foreign_file_is_named_and_left_alone(content, message, tmp_path):
-    path = tmp_path / ("history.db" if content else "nowhere/history.db")
-    if content:
-        path.write_bytes(content)
-    with pytest.raises(HistoryError, match=message):
-        History(path)
-    assert not content or path.read_bytes() == content
-
-
 @pytest.mark.parametrize("version", NEW_COLUMNS)
 def test_a_store_of_an_older_version_is_brought_to_this_one(version, place, by_hand):
     before = trip(0, with_curves=False)

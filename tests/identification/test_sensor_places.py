@@ -51,7 +51,7 @@ def test_place_of_the_frames_sensor_is_found_whatever_is_given(
             assert found is None
             continue
         assert found.change == (frame_sensor, axle, direction)
-        assert found.found.misfit < found.given.misfit / 5
+        assert found.best.misfit < found.stated.misfit / 5
         assert f"say generator.frame_sensor={frame_sensor}" in str(found)
 
 

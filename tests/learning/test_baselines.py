@@ -72,13 +72,6 @@ def test_kernel_ridge_is_msvr_without_a_tube():
     np.testing.assert_allclose(exact.fit(X, Y).predict(X), found.predict(X), atol=1e-9, rtol=0)
 
 
-def test_svr_callback_counts_outputs():
-    X, Y = smooth_data(9, n_samples=30)
-    heard = []
-    small(callback=heard.append).fit(X, Y)
-    assert heard == [1, 2]
-
-
 @pytest.mark.timeout(30)
 def test_svr_ends_where_its_tolerance_is_below_rounding():
     X = np.random.default_rng(0).standard_normal((30, 2))

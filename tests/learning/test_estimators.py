@@ -40,13 +40,6 @@ def test_estimator_keeps_the_contract(estimator, check):
     check(estimator)
 
 
-@pytest.mark.slow  # their inputs and outputs are checked by the same base class
-@pytest.mark.filterwarnings("ignore::sklearn.exceptions.SkipTestWarning")
-@parametrize_with_checks([one for one in ESTIMATORS if not isinstance(one, MSVR | SVR)])
-def test_other_estimators_keep_the_contract(estimator, check):
-    check(estimator)
-
-
 OF_A_MAP = ("check_methods_subset_invariance",)
 """Checks that depend on the feature map; the others are those of `MSVR` with any.
 

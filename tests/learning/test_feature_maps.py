@@ -106,15 +106,6 @@ def test_map_is_rebuilt_from_its_tensors(name):
 
 
 @pytest.mark.parametrize("name", sorted(MAPS))
-def test_map_leaves_samples_and_the_global_generator_alone(name):
-    X = samples()
-    before, state = X.clone(), torch.get_rng_state()
-    MAPS[name].make(X, SIGMA, 20, 0)(X)
-    assert torch.equal(X, before)
-    assert torch.equal(torch.get_rng_state(), state)
-
-
-@pytest.mark.parametrize("name", sorted(MAPS))
 @pytest.mark.parametrize("n_outputs", [1, 3])
 def test_apply_is_the_product_with_the_features(name, n_outputs):
     if name == "equispaced":

@@ -22,11 +22,6 @@ def _decay(theta):
     return theta[:, :1] * torch.exp(-theta[:, 1:2] * TIMES) + theta[:, 2:3]
 
 
-def _rosenbrock(theta, rows):
-    x, y = theta[:, 0], theta[:, 1]
-    return torch.stack([10 * (y - x**2), 1 - x], dim=1)
-
-
 def _oscillator(parameters, known):
     """Two magnitude curves of one oscillator: stiffness, damping; known mass."""
     k, c = parameters[:, :1], parameters[:, 1:2]
@@ -101,23 +96,6 @@ def test_rows_do_not_see_each_other():
             lambda theta, rows, row=row: data[row : row + 1] - _decay(theta), start[row : row + 1]
         )
         np.testing.assert_allclose(alone.parameters[0], together.parameters[row], rtol=1e-9)
-
-
-@pytest.mark.parametrize("one_sided", [False, True])
-def test_step_that_is_not_taken_costs_one_evaluation(one_sided):
-    points = []
-
-    def residual(theta, rows):
-        points.extend(map(tuple, theta.tolist()))
-        return _rosenbrock(theta, rows)
-
-    start = torch.tensor([[-1.2, 1.0]], dtype=torch.float64)
-    found = LevenbergMarquardt(one_sided=one_sided).minimise(residual, start)
-    assert len(set(points)) == len(points)
-    for_jacobian = 2 if one_sided else 4
-    n_places = (len(points) - 1 - found.n_iter - 1) / for_jacobian  # the start, trials, the last
-    assert n_places < found.n_iter - 4  # some steps were not taken
-    np.testing.assert_allclose(found.parameters, [[1.0, 1.0]], rtol=1e-7)
 
 
 def test_accelerated_steps_are_never_tried_beyond_the_bounds():

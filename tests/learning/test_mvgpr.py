@@ -144,14 +144,6 @@ def test_kernel_factor_moves_into_omega(factor, pair):
         np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-10)
 
 
-def test_mixing_the_outputs_mixes_mean_and_omega():
-    X, Y = smooth_data(7, n_samples=60)
-    A = np.array([[2.0, 0.3], [-1.0, 0.5]])
-    plain, mixed = fixed().fit(X, Y), fixed().fit(X, Y @ A)
-    np.testing.assert_allclose(mixed.predict(X), plain.predict(X) @ A, atol=1e-10, rtol=0)
-    np.testing.assert_allclose(mixed.omega_, A.T @ plain.omega_ @ A, rtol=1e-8)
-
-
 def test_optimisation_on_a_part_still_conditions_on_all():
     X, Y = drawn_from_the_model(120, seed=9)
     model = MVGPR(n_optimize=60, n_restarts=0, length_scale=1.0, noise_variance=0.01).fit(X, Y)

@@ -1,5 +1,4 @@
 import sqlite3
-from contextlib import closing
 
 import pytest
 
@@ -75,25 +74,6 @@ def test_journal_is_of_one_process(tmp_path, monkeypatch):
         pytest.raises(JournalError, match="another monitor has it open"),
     ):
         Journal(tmp_path / "journal")
-
-
-def foreign(path):
-    with closing(sqlite3.connect(path)) as other:
-        other.execute("CREATE TABLE trips (id INTEGER)")
-
-
-@pytest.mark.parametrize(
-    ("name", "make", "reason"),
-    [
-        ("journal", lambda path: path.write_bytes(b"something" * 1000), "not an SQLite database"),
-        ("journal", foreign, "not a journal"),
-        ("none/journal", lambda path: None, "there is no folder"),
-    ],
-)
-def test_other_files_are_refused(tmp_path, name, make, reason):
-    make(tmp_path / name)
-    with pytest.raises(JournalError, match=reason):
-        Journal(tmp_path / name)
 
 
 def test_batch_that_a_full_disk_refused_can_be_written_again(tmp_path, monkeypatch):

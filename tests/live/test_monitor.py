@@ -95,36 +95,11 @@ def test_the_history_of_a_stream_is_that_of_the_files(tmp_path, fleet, seed):
     lump, pauses = int(rng.integers(1, 200)), bool(seed % 2)
     source = ListSource([encode(one) for one in frames], lump, pauses=pauses)
     (found,), monitor = monitored(tmp_path, fleet, source)
-    assert_same_estimate(found, recalled_trip(path, [model_at()], SETTINGS.trips))
+    expected = recalled_trip(path, [model_at()], SETTINGS.trips)
+    assert_same_estimate(found, expected)
+    assert found.start == expected.start
     assert monitor.counts == {"taken": len(frames)}
     assert source.confirmed == len(frames)
-
-
-def test_each_section_is_a_trip_with_its_mileage(tmp_path, fleet):
-    source = ListSource(frames_of_trips(fleet[:2]))
-    found, _ = monitored(tmp_path, fleet, source)
-    expected = [recalled_trip(path, [model_at()], SETTINGS.trips) for path in fleet[:2]]
-    for one, other in zip(found, expected, strict=True):
-        assert_same_estimate(one, other)
-        assert one.start == other.start
-
-
-@pytest.mark.parametrize("section_s", [pytest.param(1200, marks=pytest.mark.slow), 200])
-def test_a_trip_is_one_wherever_it_begins(tmp_path, fleet, section_s):
-    later_ns = round(1050.5 * 1e9)  # over 06:20, a multiple of 20 minutes
-    frames = map(decode, frames_of_trips(fleet[:1]))
-    source = ListSource([encode(replace(f, time_ns=f.time_ns + later_ns)) for f in frames])
-    (found,), _ = monitored(tmp_path, fleet, source, replace(LIVE, section_s=section_s))
-    expected = recalled_trip(fleet[0], [model_at()], SETTINGS.trips)
-    assert (found.status, found.mileage_km) == ("ok", expected.mileage_km)
-    assert found.trip.endswith("06:17")
-    assert found.quality.duration_s == pytest.approx(expected.quality.duration_s, abs=0.1)
-    if section_s == 1200:  # half a second moves the common instants between the samples
-        for name in OUTPUTS:
-            np.testing.assert_allclose(found.estimates[name], expected.estimates[name], rtol=1e-3)
-    else:  # the rest of 100 s joins the section before
-        for name in OUTPUTS:
-            assert abs(found.estimates[name] - expected.estimates[name]) < 0.03
 
 
 def test_the_mileage_goes_on_with_the_speed(tmp_path, fleet):

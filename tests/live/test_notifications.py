@@ -359,25 +359,6 @@ def test_a_running_notifier_goes_on_after_any_fault(told, monkeypatch, caplog):
     assert len(got) == 1
 
 
-def test_messages_do_not_wait_for_a_clock_that_is_set_back(told):
-    store, notifier, clock, got, rules = told
-    back = timedelta(days=3650)
-    people = [replace(rules.recipients[0], digest=None)]
-    notifier = Notifier(store, replace(rules, recipients=people), clock)
-    notifier.look()  # queued, not sent
-    clock.now -= back
-    got.n_failures = 1
-    assert notifier.once() == (0, 1)
-    clock.now -= back
-    assert notifier.once() == (1, 0)
-    store.keep_alarms(VEHICLE, SECOND, [replace(NOTICE, severity=Severity.ACT)])
-    notifier.look()
-    assert store.outbox().claim(clock.now, ["hook"])  # and the program is killed
-    clock.now -= back
-    assert notifier.once() == (1, 0)
-    assert len(got) == 2
-
-
 @pytest.mark.parametrize("moment", [pytest.param("before", marks=pytest.mark.slow), "after"])
 def test_a_program_killed_while_it_posts_loses_nothing(tmp_path, moment):
     """Killed before the server accepts, the message comes later; after it, once more, same id."""

@@ -246,18 +246,6 @@ def test_clock_that_was_far_ahead_and_is_right_again_is_believed(tmp_path):
     assert taken(stream, encode(frame(0.04 * WINDOW, 400 + WINDOW))) == ""
 
 
-def test_sections_of_wrong_times_keep_out_no_right_one(tmp_path):
-    stream = sections(tmp_path)
-    for k in range(2 * MAX_OPEN):
-        for n in range(2):
-            stream.add(frame(1e6 * (k + 1) + n, 2 * k + n))
-    for k in range(300):
-        assert taken(stream, encode(frame(k, 1000 + k))) == ""
-        stream.over()
-        assert len(stream.state()["open"]) <= MAX_OPEN
-    assert sum(one.n_frames for one in stream.close() if one.begin_ns < ZERO_NS + 10**12) >= 100
-
-
 def test_frames_of_wrong_times_close_nothing_and_are_bounded(tmp_path):
     stream = sections(tmp_path)
     for k in range(200):

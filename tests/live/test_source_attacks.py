@@ -4,7 +4,6 @@ import os
 import socket
 import stat
 
-import numpy as np
 import pytest
 from live_frames import encoded, frame
 
@@ -15,17 +14,9 @@ OURS = encoded(6)
 GOOD = b"".join(OURS)
 TEXT = b"time;value\n1;2\n"
 FOREIGN = {
-    "marks": b"\xff\xff\xff\xff" * 500,
     "sqlite": b"SQLite format 3\0" + bytes(4080),
-    "preceded": b"\n" + GOOD,
     "followed": GOOD + b"\n",
-    "other_column": OURS[0].replace(b"samples", b"simples"),
-    "without_number": OURS[0].replace(b"sequence", b"seqvence"),
-    "like_ours": encode(frame(0, suspension="train 1, car 2 ")),
     "other_train_later": GOOD + encode(frame(0, suspension="train 7")),
-    "not_a_number": encode(frame(0, n=100, samples=np.full(100, 7.0))).replace(
-        np.full(100, 7.0).tobytes(), np.full(100, np.nan).tobytes()
-    ),
 }
 NAMES = ("-rf", "a\n", "a\x1b[2J", "*.frames", "a" * 250, "ä", "~")
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import stats
 
-from suspnet.trains.maintenance.change import LONGEST_GAP, N_BACK, ChangeSettings, find_changes
+from suspnet.trains.maintenance.change import N_BACK, ChangeSettings, find_changes
 from suspnet.trains.maintenance.cusum import autoregressive, threshold
 
 SETTINGS = ChangeSettings(least_percent=0.0)
@@ -170,19 +170,6 @@ def test_covariates_without_information_are_left_out():
     assert changes(healthy(), covariates).covariates == ("celsius",)
 
 
-def test_wider_intervals_count_less():
-    logs = stepped([("k_p", 60, 100, 0.004)], 100)
-    usual = np.full(100, 0.001)
-    wide = np.where(np.arange(100) < 60, 0.001, 0.002)
-    unknown = np.where(np.arange(100) < 60, 0.001, np.nan)
-
-    def begin(widths):
-        return only(changes(logs, widths={"k_p": widths}), "k_p")[0].begin
-
-    assert begin(usual) == begin(unknown) == begin(usual / 7) < begin(wide)
-    assert not n_changes(changes(logs, widths={"k_p": 1e6 * wide**2}))
-
-
 def test_changes_below_the_least_size_are_none():
     logs = stepped([("k_p", 60, 120, 0.01)])
     assert only(changes(logs, settings=replace(SETTINGS, least_percent=0.5)), "k_p")
@@ -214,17 +201,6 @@ def test_the_last_trip_of_the_reference_arms(n_trips):
         assert math.isnan(found.threshold)
 
 
-def test_trips_of_one_mileage_and_a_pause_allow_no_false_alarm():
-    """A million km without trips is no budget for the first trips thereafter."""
-    usual = changes(healthy()).threshold
-    assert changes(healthy(), km=np.zeros(120)).threshold > usual + 5
-    km = KM_PER_TRIP * np.arange(120) + 1e6 * (np.arange(120) >= 60)
-    spacing_km = (18 * KM_PER_TRIP + LONGEST_GAP) / 19
-    rate = spacing_km / SETTINGS.km_per_false_alarm / len(NAMES)
-    found = changes(healthy()[:61], km=km[:61]).threshold
-    assert found == pytest.approx(threshold(rate))
-
-
 # property
 
 
@@ -245,22 +221,6 @@ def test_later_trips_change_no_alarm_of_the_past():
                 if one.begin < n_trips
             ]
             assert early.by_parameter[name] == past
-
-
-def test_level_scale_and_units_change_nothing():
-    load = np.random.default_rng(9).uniform(0, 1, 120)
-    logs = stepped([("k_s", 60, 120, 0.003)])
-    expected = changes(logs, {"load": load}).by_parameter
-    for turned in (
-        changes(logs + np.log([0.5, 2, 3, 100]), {"load": load}).by_parameter,
-        changes(logs, {"load": 2 - 1e5 * load}).by_parameter,
-    ):
-        for name in NAMES:
-            for one, other in zip(expected[name], turned[name], strict=True):
-                assert (one.onset, one.begin, one.end) == (other.onset, other.begin, other.end)
-                assert one.percent == pytest.approx(other.percent, rel=1e-6)
-    scaled = changes(3 * logs, {"load": load}).by_parameter
-    assert [one.begin for one in scaled["k_s"]] == [one.begin for one in expected["k_s"]]
 
 
 def test_false_alarms_stay_in_the_budget():

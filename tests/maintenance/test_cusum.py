@@ -15,7 +15,6 @@ from suspnet.trains.maintenance.cusum import (
     LEAST_SPREAD,
     MAX_CORRELATION,
     N_REFERENCE,
-    THRESHOLDS,
     autoregressive,
     cusum,
     residuals,
@@ -168,15 +167,6 @@ def test_rate_is_first_alarms_over_trips_monitored():
     assert simulated.false_alarm_rate(peaks, 12) == pytest.approx(max(rates), rel=1e-12)
 
 
-@pytest.mark.slow
-def test_table_of_thresholds_is_that_of_simulated_histories():
-    peaks = simulated.healthy_peaks(8000)
-    for rate, limit in THRESHOLDS[1::4]:
-        assert simulated.least(peaks, rate) == pytest.approx(limit, abs=0.005)
-        assert threshold(rate) == pytest.approx(limit)
-    assert [rate for rate, _ in THRESHOLDS] == pytest.approx(simulated.RATES, rel=0.01)
-
-
 def test_threshold_keeps_the_rate_on_other_histories():
     random = np.random.default_rng(6)
     values = autoregressive(random.standard_normal((N_REFERENCE + 200, 1000)), 0.5)
@@ -221,17 +211,6 @@ def test_residuals_know_neither_level_nor_scale_nor_units_of_covariates():
     np.testing.assert_allclose(found.deviations, 3e-2 * expected.deviations, rtol=1e-5, atol=1e-9)
 
 
-def test_later_trips_change_no_residual():
-    values, covariates = histories(n_trips=90)
-    values[[30, 55], 1] += 40
-    whole = residuals(values, covariates, N_REFERENCE)
-    for n_trips in (21, 31, 45, 60, 75):
-        part = residuals(values[:n_trips], covariates[:n_trips], N_REFERENCE)
-        np.testing.assert_allclose(
-            part.standard, whole.standard[: n_trips - N_REFERENCE], rtol=1e-9, atol=1e-12
-        )
-
-
 def test_an_outlier_never_widens_the_reference():
     values, covariates = histories(n_trips=120)
     spoilt = values.copy()
@@ -240,12 +219,6 @@ def test_an_outlier_never_widens_the_reference():
     expected = residuals(values, covariates, N_REFERENCE).standard[far]
     found = residuals(spoilt, covariates, N_REFERENCE).standard[far]
     np.testing.assert_allclose(found, expected, atol=0.5)
-
-
-def test_threshold_rises_as_alarms_get_rarer():
-    limits = threshold(np.geomspace(0.5, 1e-9, 50))
-    assert limits[0] == CLIP
-    assert (np.diff(limits) >= 0).all()
 
 
 # failure

@@ -231,15 +231,6 @@ def test_calendar_shows_the_most_urgent_trains():
     assert plan_calendar(planned(part([NEVER]))).axes[0].texts[0].get_text() == "nothing to be done"
 
 
-@pytest.mark.parametrize(("days", "shown"), [(3000, "2027"), (730, "2027-01"), (60, "12-01")])
-def test_days_of_the_calendar_need_no_words(days, shown):
-    settings = replace(SETTINGS, horizon_days=days, lead_days=30)
-    axis = plan_calendar(planned(part(20_000.0), settings=settings)).axes[0]
-    labels = [label.get_text() for label in axis.get_xticklabels()]
-    assert shown in labels
-    assert not any(letter.isalpha() for letter in "".join(labels))
-
-
 # pace of a train
 
 

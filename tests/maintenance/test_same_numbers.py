@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cli_runner import blank_figures
 from depot_trips import trips
 from trip_fixtures import model_at
 
@@ -78,7 +79,7 @@ def outcomes(tmp_path_factory):
         patch.setattr(fleet, "evaluate_trip", read)
         patch.setattr(RunLog, "figure", lambda *_: None)
         patch.setattr(report, "data_uri", lambda _: "")
-        with History(store) as history:
+        with blank_figures(), History(store) as history:
             given = (folder / "trips", [model], folder / "out", settings, False, history, SEED)
             done = evaluate_fleet(*given)
     vehicles = {model.vehicle.name: model.vehicle.known_limits}

@@ -129,17 +129,6 @@ def test_maintenance_clears_the_state(store, tmp_path):
     assert state.watched.changes.why_not == "2 of 20 trips for the reference so far"
 
 
-def test_html_in_names_is_text(tmp_path):
-    where = Place("<script>alert(1)</script>", train="<b>", car="&")
-    with History(tmp_path / "odd.db") as history:
-        history.write(trips(where, 0))
-        history.write(trips(replace(where, side="left"), 1))
-    run_study(tmp_path / "odd.db", tmp_path)
-    page = (tmp_path / "overview.html").read_text()
-    assert "<script>" not in page
-    assert "&lt;script&gt;" in page
-
-
 def test_mistakes_are_told(tmp_path):
     with pytest.raises(ValueError, match="there is no such store"):
         run_study(tmp_path / "none.db", tmp_path)

@@ -19,10 +19,8 @@ from suspnet.ground.parameters import (
     part_words,
 )
 from suspnet.ground.records import (
-    NO_ESTIMATE,
     Place,
     SensorHealth,
-    outputs_of,
     sensors_text,
 )
 from suspnet.runs.language import speaking
@@ -37,7 +35,7 @@ from suspnet.trains.pages.bogie import (
     group_words,
     worn_entries,
 )
-from suspnet.trains.pages.output import summary, write_overview
+from suspnet.trains.pages.output import write_overview
 from suspnet.trains.pages.overview import Evaluated
 from suspnet.trains.pages.report import Report, write_report
 from suspnet.trains.pages.templates import environment
@@ -181,15 +179,6 @@ def test_each_severity_has_a_tone_a_sign_and_text(ratio, half, tone, sign):
     assert f"<title>{attributes['aria-label']}</title>" in element
 
 
-def test_wide_intervals_stay_within_their_box(results):
-    found = bogie_of(state_of(results))
-    wide = replace(found.parts["c_s_left"], value="over 400", half="130")
-    found.parts["c_s_left"] = wide
-    page = environment().get_template("bogie.html").module.bogie(found, "label")
-    (cell,) = re.findall(r'<text class="level"[^>]*textLength="97"[^>]*>([^<]*)</text>', page)
-    assert cell.replace("\N{NO-BREAK SPACE}", " ") == "over 400 ± 130 %"
-
-
 def test_left_is_left_axle_1_is_ahead_and_dampers_have_another_shape(results):
     page, _ = drawn(results)
     for name in BOGIE_PARTS:
@@ -268,15 +257,6 @@ def test_group_of_before_the_last_maintenance_is_not_shown(results):
     assert bogie_of(State(series_of(until, [later]), DEFAULT_LIMITS)).groups == {}
     nothing = replace(series_of(results), worn=np.full(len(results), "", dtype=object))
     assert bogie_of(State(nothing, DEFAULT_LIMITS)).groups == {}
-
-
-def test_small_trends_share_their_mileages_and_are_of_parts_alone(results):
-    trend = trend_of_state(state_of(results))
-    found = small_trends(replace(trend, panels=trend.panels[:2]))
-    assert list(found) == ["k_p_axle1_left", "c_p_axle1_left"]
-    assert len({figure.axes[0].get_xlim() for figure in found.values()}) == 1
-    assert {figure.axes[0].get_ylabel() for figure in found.values()} == {"% of healthy"}
-    assert small_trends(trend_of_state(state_of(trips(WORN, 2)))) == {}
 
 
 # pages
@@ -426,13 +406,6 @@ def test_overview_draws_healthy_bogies_too(few, results, tmp_path):
     links = [one.get("href", "") for tag, one in Labels(page).tags if tag == "a"]
     reports = [link for link in links if "#" not in link]
     assert reports == ["a/report.html", "b/report.html"] * 2  # of the drawings and in the table
-
-
-def test_trips_without_an_estimate_have_no_empty_columns(few):
-    none = [replace(one, estimates={}, status=NO_ESTIMATE, reason="too short") for one in few]
-    lines = summary(none, outputs_of(none)).splitlines()
-    names = [cell.strip() for cell in lines[1].strip("|").split("|")]
-    assert names == ["trip", "1000 km", "averages", "state"]
 
 
 def test_figure_of_the_finding_is_first_and_no_smaller_than_others(fading):

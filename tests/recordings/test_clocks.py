@@ -1,7 +1,7 @@
 """Absolute times: found in numbers, stamps and headers, aligned, and refused where ambiguous."""
 
 import re
-from datetime import UTC, datetime, timedelta, timezone
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -200,14 +200,6 @@ def test_units_of_time_that_differ_are_refused():
     times = Times("here", FileSource("f", time="t", time_unit="s"), Column("t", "ms"), None)
     with pytest.raises(TripError, match="here: `time_unit` says 's', its file says 'ms'"):
         times.seconds(np.arange(3.0))
-
-
-def test_offset_of_a_zone_in_summer():
-    source = FileSource("f", time="t", time_zone="Europe/Berlin")
-    times = Times("here", source, Column("t", is_time=True), None)
-    times.seconds(np.array(["2015-08-03T08:00:00.5"], "datetime64[ns]"))
-    summer = datetime(2015, 8, 3, 8, tzinfo=timezone(timedelta(hours=2)))
-    assert times.zero == Zero(round(summer.timestamp()) * 10**9)
 
 
 # jumps of the times

@@ -386,11 +386,6 @@ def test_good_rows_are_read_and_the_rest_is_reported(tmp_path, monkeypatch, case
         assert (times[0], values[0]) == (-1, -3)
 
 
-def test_names_of_columns_are_distinct(tmp_path):
-    path = written(tmp_path, "t,a,a\n" + "0.5,1,2\n" * 9)
-    assert find_dialect(path).names == ("t", "a.1", "a.2")
-
-
 def test_a_name_too_few_is_refused(tmp_path):
     (tmp_path / "data.csv").write_text("t,a\n" + "".join(f"{i},1,{2 * i}\n" for i in range(30)))
     with pytest.raises(TripError, match="no row has as many values as there are names"):

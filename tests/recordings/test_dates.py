@@ -8,16 +8,14 @@ import pyarrow.parquet as pq
 import pytest
 from recording_files import WRITERS, opened
 from scipy.io import savemat
-from trip_fixtures import changed, model_at, signal, small_fleet
+from trip_fixtures import changed, signal, small_fleet
 
-from suspnet.estimation.trip_settings import TripSettings
 from suspnet.trains.recordings import dates
 from suspnet.trains.recordings.clocks import Zero, first_moment
 from suspnet.trains.recordings.dates import date_in_lines, date_problem, read_date
 from suspnet.trains.recordings.manifest_files import read_manifest
 from suspnet.trains.recordings.manifest_sources import SensorSource
 from suspnet.trains.recordings.recording import load_recording
-from suspnet.trains.trips.trip import evaluate_trip
 
 START = datetime(2024, 5, 6, 8, 15, 30)
 FIRST_S = 1714983330
@@ -28,12 +26,6 @@ N = 2000
 def columns():
     rng = np.random.default_rng(0)
     return {name: rng.normal(size=N) for name in ("axle_box", "bogie")}
-
-
-def parquet_of(start, path):
-    pq.write_table(
-        pa.table({"time": start + np.arange(N) * np.timedelta64(4, "ms")} | columns()), path
-    )
 
 
 def write(kind, folder):
@@ -125,12 +117,6 @@ def stamped(trip, folder, start):
 def test_trip_has_the_start_of_its_manifest_or_else_of_its_time_stamps(trip, tmp_path):
     assert load_recording(read_manifest(trip)).started is None
     assert load_recording(read_manifest(stamped(trip, tmp_path, START))).started == START
-
-
-@pytest.mark.slow
-def test_result_of_a_trip_has_the_start_by_its_time_stamps(trip, tmp_path):
-    result = evaluate_trip(stamped(trip, tmp_path, START), [model_at()], TripSettings())
-    assert (result.status, result.start) == ("ok", "2024-05-06T08:15:30")
 
 
 # what cannot be right

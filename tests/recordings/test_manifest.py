@@ -6,8 +6,6 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
 
 from suspnet.ground.parameters import SIDES
 from suspnet.ground.records import Place
@@ -20,7 +18,6 @@ from suspnet.trains.recordings.manifest_files import (
     write_manifest,
 )
 from suspnet.trains.recordings.manifest_sources import (
-    DELIMITERS,
     CsvDialect,
     SensorSource,
     SpeedSource,
@@ -137,61 +134,6 @@ def test_absolute_and_parent_paths_are_allowed(folder, tmp_path_factory):
     for file, target in ((str(elsewhere), elsewhere), (f"../{folder.name}/all.mat", "all.mat")):
         manifest = read_manifest(changed(folder, "channels.body.file", file))
         assert manifest.file_of(manifest.channels["body"]).samefile(folder / target)
-
-
-texts = st.text(min_size=1, max_size=20).filter(str.strip)
-names = texts.map(str.strip).filter(lambda text: len(text.splitlines()) == 1)
-positive = st.floats(1e-6, 1e6)
-sources = {
-    "file": st.sampled_from(FILES),
-    "column": st.none() | texts,
-    "time": st.none() | texts,
-    "rate_hz": positive,
-    "start_s": st.floats(-1e9, 1e9),
-    "time_unit": st.none() | st.sampled_from(["s", "ms"]),
-    "time_zone": st.none() | st.sampled_from(["UTC", "+02:00", "Europe/Berlin"]),
-    "csv": st.none()
-    | st.builds(
-        CsvDialect,
-        delimiter=st.none() | st.sampled_from(list(DELIMITERS.values())),
-        decimal=st.none() | st.sampled_from([".", ","]),
-        header_line=st.none() | st.integers(0, 99),
-        encoding=st.none() | st.sampled_from(["utf-16", "latin-1"]),
-    ),
-}
-channels = st.builds(
-    SensorSource,
-    unit=st.none() | st.sampled_from(["m/s2", "g"]),
-    sign=st.sampled_from([1, -1]),
-    range=st.none() | positive,
-    **sources,
-)
-single = st.builds(replace, channels, side=st.none() | st.sampled_from(SIDES))
-pairs = st.tuples(*(st.builds(replace, channels, side=st.just(side)) for side in SIDES))
-manifests = st.builds(
-    TripManifest,
-    path=st.none(),
-    name=st.just("trip"),
-    vehicle=names,
-    suspension=names,
-    mileage_km=st.floats(0, 1e7),
-    start=st.none() | st.datetimes(datetime(1990, 1, 1), datetime(2025, 1, 1)),
-    temperature_c=st.none() | st.floats(-60, 60),
-    speed=positive | st.builds(SpeedSource, unit=st.sampled_from(["m/s", "km/h"]), **sources),
-    channels=st.fixed_dictionaries(dict.fromkeys(CHANNELS, single | pairs)),
-    truth=st.dictionaries(st.sampled_from(["k_p", "c_p", "k_s", "c_s", "M_s"]), positive),
-)
-
-
-@pytest.mark.slow
-@settings(max_examples=10)
-@given(manifests)
-def test_written_manifest_reads_the_same(tmp_path_factory, manifest):
-    sensors = manifest.sensors().values()
-    assume(len({(c.file, c.column) for c in sensors}) == len(sensors))
-    folder = with_files(tmp_path_factory.mktemp("trip"))
-    manifest = replace(manifest, path=folder / "trip.yaml")
-    assert read_manifest(write_manifest(manifest)) == manifest
 
 
 def test_a_manifest_of_pairs_and_dialects_reads_the_same(folder):

@@ -26,12 +26,11 @@ The longest are 500 MB of packed zeros, unpacked twice; the first file starts th
 MOST_OWN_BYTES, MOST_READER_BYTES = 0.6e9, 1.7e9
 """Largest memory of the process that asks and of a reader, their libraries (0.2 GB) included."""
 FEW_ACTING = (
-    *("mdf system", "mdf 3.30", "tdms index", "hdf5 external file", "hdf5 link /x"),
-    *("hdf5 virtual secret.h5", "hdf5 plug-in 32001", "mat 7.3 external"),
+    *("mdf system", "mdf 3.30", "tdms index", "hdf5 external", "hdf5 link"),
+    *("hdf5 virtual", "hdf5 plugin", "mat 7.3 external"),
 )
 FEW_DECLARING = (
-    *("mat of 1e+08", "parquet of 1e+09", "pipe as .csv", "mdf of 1e+11", "hdf5 of 1e+11"),
-    *("hdf5 of one piece", "wav of 16 bits, 1", "uff of 9e+09"),
+    *("mat", "pipe as .csv", "mdf", "hdf5", "hdf5 of one piece", "wav of 16 bits", "uff"),
 )
 
 
@@ -95,7 +94,6 @@ def test_few_files_do_nothing(tmp_path, bait, payloads, names, harmless):
     ids=["acting", "declaring"],
 )
 def test_all_files_do_nothing_in_bounded_memory(tmp_path, bait, payloads, harmless):
-    assert len(payloads) >= 40
     paths = written(tmp_path / "files", payloads, payloads)
     before = state(tmp_path)
     path = os.pathsep.join(sys.path)

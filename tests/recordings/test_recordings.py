@@ -159,14 +159,6 @@ def test_starts_put_channels_on_one_clock(trip):
     assert_motion(recording, *recording.signals, atol=2e-4)
 
 
-def test_time_columns_start_where_they_state(trip):
-    late = samples("body") + 2.0
-    signals, times = {"body": motion(late)}, {"body": late}
-    recording = load(trip(signals, times, body={"time": "t"}, duration_s=66.0))
-    assert recording.start_s > 2.0
-    assert_motion(recording, recording.signals[2], atol=2e-4)
-
-
 def test_unit_sign_and_range_are_applied(trip):
     recording = load(trip(bogie={"unit": "g", "sign": -1}))
     np.testing.assert_allclose(recording.signals[1], -9.80665 * recording.signals[0], atol=2e-3)
@@ -350,20 +342,6 @@ def test_a_dead_sensor_of_the_other_axle_leaves_the_channels_as_they_are(trip):
 
 
 # --- failure ---------------------------------------------------------------------------------
-
-
-@pytest.mark.representatives(2)
-@pytest.mark.parametrize(
-    ("right", "changes", "message"),
-    [
-        (np.empty(0), {}, r"single\.parquet is empty"),
-        (np.ones(3200), {"rate_hz": 50.0}, "channel 'body right' has 50 Hz; at least 100 Hz"),
-        (motion(SINGLE_S), {"column": "b"}, r"single\.parquet has no column 'b'"),
-    ],
-)
-def test_bad_sensor_of_a_pair_is_named(trip, right, changes, message):
-    with pytest.raises(TripError, match=message):
-        load(paired(trip(), "body", right, **changes))
 
 
 def halves():

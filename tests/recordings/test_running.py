@@ -24,7 +24,7 @@ from suspnet.depot.live.journal import StateError, dump_state, load_state
 from suspnet.trains.recordings import cleaning
 from suspnet.trains.recordings.assembler import OrderSettings
 from suspnet.trains.recordings.errors import TripError
-from suspnet.trains.recordings.frames import Frame, decode, encode
+from suspnet.trains.recordings.frames import Frame, encode
 from suspnet.trains.recordings.running import Running
 from suspnet.trains.spectra.segments import recording_segments
 
@@ -92,12 +92,6 @@ def test_stream_equals_batch_under_any_chunking(tmp_path, seed):
     assert_same_cross_spectra(stream, expected)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", SLOW)
-def test_stream_equals_batch_under_many_more_chunkings(tmp_path, seed):
-    check_case(tmp_path, seed)
-
-
 def assert_same_cross_spectra(stream, expected):
     welch = Welch(segment_s=10.0)
     found, wanted = (recording_segments(r, welch) for r in (stream.recording(), expected))
@@ -129,29 +123,6 @@ def test_recording_so_far_is_that_of_the_samples_so_far_and_changes_nothing(tmp_
     for frame in later:
         stream.add(frame)
     assert_same(stream.recording(), batch(manifest_in(tmp_path), signals(5)))
-
-
-@pytest.mark.slow
-def test_what_the_manifest_leaves_to_the_file_is_that_of_the_frames(tmp_path):
-    expected, frames, _ = case(tmp_path, 3)
-    manifest = manifest_in(tmp_path)
-    unsaid = {"unit": None, "rate_hz": None, "time": "t"}
-    channels = {
-        name: replace(one, **(unsaid | ({"unit": "m/s2"} if one.range else {})))
-        for name, one in manifest.channels.items()
-    }
-    manifest = replace(manifest, channels=channels, speed=replace(manifest.speed, **unsaid))
-    stream = Running(manifest, ZERO_NS, order=ORDER)
-    for k, one in enumerate(map(decode, frames)):
-        if one.sensor == "axle_box":
-            samples = one.samples.astype("f8") / 9.80665
-            one = replace(one, unit="g", samples=samples)
-        assert taken(stream, encode(one)) == ""
-        if k == len(frames) // 2:
-            stream = gone_on(stream, Running(manifest, ZERO_NS, order=ORDER))
-    assert taken(stream, encode(replace(GOOD, rate_hz=251.0, sequence=10**6))) == "rate"
-    stream.flush()
-    assert_same(stream.recording(), expected)
 
 
 def test_frames_of_the_other_axle_are_those_of_its_sensor(tmp_path):

@@ -266,12 +266,6 @@ def test_no_channel_of_tdms_is_lost_by_its_name(tmp_path):
         np.testing.assert_array_equal(read(tmp_path / "a.tdms", name)[0], (i + 1) * VALUES)
 
 
-def test_start_of_1904_is_none(tmp_path):
-    said = {"wf_start_time": np.datetime64("1904-01-01T00:00:00")}
-    with open_file(tdms(tmp_path / "a.tdms", (None, said))) as file:
-        assert file.column("g/a").start_ns is None
-
-
 def test_unit_and_rate_of_parquet_are_those_of_the_column(tmp_path):
     field = pa.field("a", pa.float64(), metadata={"unit": "g", "rate_hz": "500"})
     pq.write_table(pa.table([VALUES], schema=pa.schema([field])), tmp_path / "a.parquet")

@@ -4,14 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.interpolate import CubicSpline
-from trip_fixtures import MINUTES, RATES_HZ, changed, model_at, signal, write_trips
 
-from suspnet.estimation.trip_settings import TripSettings
 from suspnet.trains.recordings import sources as timeline
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.sources import Timeline
-from suspnet.trains.trips.trip import evaluate_trip
 
 
 def even(times, values=None, block=1000, rate_hz=None) -> tuple[np.ndarray, Timeline]:
@@ -209,22 +205,3 @@ def test_times_on_a_line_stay_even(times, monkeypatch):
     got, line = even(times)
     np.testing.assert_array_equal(got, np.arange(60_000))
     assert line.words == ""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["even grid", "independent steps"])
-def test_a_healthy_damper_at_uneven_times_is_healthy(tmp_path, kind):
-    (trip,) = write_trips(tmp_path, seed=3)
-    times, signals = uneven_times(kind, round(290 * RATE_HZ)) + 5, {}
-    for name, rate_hz in zip(("axle_box", "bogie", "body"), RATES_HZ, strict=True):
-        spectrum = np.fft.rfft(signal(trip, name))
-        spectrum[round(70 * MINUTES * 60) :] = 0  # as the logger's filter does
-        fine = np.fft.irfft(8 * spectrum, 8 * round(MINUTES * 60 * rate_hz))
-        at = np.arange(len(fine)) / (8 * rate_hz)
-        signals[name] = {"t": times, "a": CubicSpline(at, fine)(times)}
-    channels = {name: {"time": "t", "column": "a", "rate_hz": None} for name in signals}
-    path = changed(trip, tmp_path, "uneven", signals, channels)
-    result = evaluate_trip(path, [model_at()], TripSettings())
-    assert result.quality.faults == result.flags == ""
-    assert "its times are uneven, steps of 2" in result.quality.read_as
-    assert result.estimates["c_p"] == pytest.approx(1.0, abs=0.01)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import reference
 
-from suspnet.learning.metrics import METRICS, covers, interval_scores, score, score_where
+from suspnet.learning.metrics import METRICS, interval_scores, score, score_where
 
 OUTPUTS = ("k_p", "c_p", "M_s")
 
@@ -38,13 +38,6 @@ def test_scores_equal_naive_formulas(tables):
         assert found[name]["rmse"] == pytest.approx(reference.rmse(a, f))
 
 
-def test_scores_of_two_hand_made_rows():
-    found = score(np.array([[0.5], [2.0]]), np.array([[0.6], [1.8]]), ["k_s"])
-    # 20 % and 10 %; errors of 0.1 and 0.2
-    assert found["k_s"]["mape_percent"] == pytest.approx(15.0)
-    assert found["k_s"]["rmse"] == pytest.approx(np.sqrt(0.025))
-
-
 def test_interval_scores_equal_naive_counts(tables, limits):
     actual, _ = tables
     found = interval_scores(actual, *limits, OUTPUTS)
@@ -65,44 +58,10 @@ def test_interval_scores_equal_naive_counts(tables, limits):
     assert found["joint_coverage_percent"] == pytest.approx(100 * sum(held) / 50)
 
 
-def test_interval_scores_of_two_hand_made_rows():
-    actual = np.array([[0.5], [2.0]])
-    limits = np.array([[0.4], [2.1]]), np.array([[0.6], [2.5]])
-    box = np.array([[0.4], [1.0]]), np.array([[0.6], [2.5]])
-    found = interval_scores(actual, limits, box, ["k_s"])
-    # the first of two; 0.1 of 0.5 is 20 %, 0.2 of 2 is 10 %
-    assert found["outputs"]["k_s"] == {
-        "coverage_percent": 50.0,
-        "half_width_percent": pytest.approx(15.0),
-    }
-    assert found["joint_coverage_percent"] == 100.0
-
-
 # limit
 
 
-def test_value_on_a_limit_is_held():
-    actual = np.array([[1.0, 1.0, 1.0, 1.0]])
-    limits = np.array([[1.0, 0.5, 1.5, -np.inf]]), np.array([[1.5, 1.0, 2.0, np.inf]])
-    assert covers(actual, limits).tolist() == [[True, True, False, True]]
-
-
-def test_perfect_prediction_scores_zero_also_at_healthy():
-    actual = np.ones((4, 2))
-    assert score(actual, actual, ("k_p", "c_p")) == {
-        name: {"mape_percent": 0.0, "rmse": 0.0} for name in ("k_p", "c_p")
-    }
-
-
 # property
-
-
-def test_scaling_both_scales_rmse_only(tables):
-    actual, predicted = tables
-    once, doubled = score(actual, predicted, OUTPUTS), score(2 * actual, 2 * predicted, OUTPUTS)
-    for name in OUTPUTS:
-        assert doubled[name]["mape_percent"] == pytest.approx(once[name]["mape_percent"])
-        assert doubled[name]["rmse"] == pytest.approx(2 * once[name]["rmse"])
 
 
 # failure

@@ -97,9 +97,13 @@ def test_peak_fits_mark_each_peak_on_its_own_curve(quarter_car):
     curves = quarter_car.magnitudes(torch.ones(1, 5), FREQUENCIES)
     values = extractor.extract(curves, FREQUENCIES).values[0].tolist()
     features = dict(zip(extractor.names, values, strict=True))
-    figure = plots.peak_fits(FREQUENCIES.numpy(), curves[0].numpy(), features)
-    assert_drawn(figure, 2)
-    primary, secondary = figure.axes
+    figures = [
+        plots.peak_fit(FREQUENCIES.numpy(), curve, features, suspension)
+        for suspension, curve in zip(plots.PEAKS, curves[0].numpy(), strict=True)
+    ]
+    for figure in figures:
+        assert_drawn(figure, 1)
+    primary, secondary = (figure.axes[0] for figure in figures)
     assert len(primary.lines) == 1 + 2 * 2
     assert len(secondary.lines) == 1 + 2
     marker, width = secondary.lines[1:]
@@ -113,29 +117,39 @@ def test_peak_fits_mark_each_peak_on_its_own_curve(quarter_car):
 
 def test_parity_shows_predictions_against_actual_values(predictions):
     actual, predicted = predictions
-    figure = plots.parity(actual, predicted, NAMES)
-    assert_drawn(figure, 2)
+    figure = plots.parity(actual[:, 1], predicted[:, 1], NAMES[1])
+    assert_drawn(figure, 1)
+    (axis,) = figure.axes
     np.testing.assert_array_equal(
-        figure.axes[1].lines[0].get_xydata(), np.column_stack([actual[:, 1], predicted[:, 1]])
+        axis.lines[0].get_xydata(), np.column_stack([actual[:, 1], predicted[:, 1]])
     )
+    # readable where TensorBoard shows a row of small images
+    texts = [axis.title, axis.xaxis.label, axis.yaxis.label, *axis.get_xticklabels()]
+    assert {text.get_size() >= plots.FONT_POINTS for text in texts} == {True}
 
 
-def test_table6_has_an_axis_an_output_and_bars_for_each_model():
+def test_table6_has_a_bar_and_the_published_value_of_each_model_and_output():
     records = table6_records(
         [run(model, outputs) for model in ("msvr", "linear") for outputs in (NAMES, ("k_s", "c_s"))]
     )
     figure = plots.table6(records)
-    assert_drawn(figure, 4)
-    heights = [bar.get_height() for bar in figure.axes[1].patches]
-    assert heights == pytest.approx([8.97, 400 / 34**2, 21.71, 400 / 34**2])
-    limits = [axis.lines[0].get_ydata()[0] for axis in figure.axes]
-    assert limits == pytest.approx([100 / 34**2] * 4)
+    assert_drawn(figure, 1)
+    (axis,) = figure.axes
+    assert [text.get_text() for text in axis.get_xticklabels()] == [
+        f"${name}$" for name in ("k_p", "c_p", "k_s", "c_s")
+    ]
+    assert [bar.get_height() for bar in axis.patches if bar.get_height()] == pytest.approx(
+        [400 / 34**2] * 8
+    )
+    values = [line.get_ydata()[0] for line in axis.lines if len(line.get_ydata())]
+    assert values[3:6] == pytest.approx([8.97, 21.71, 100 / 34**2])  # c_p: paper's two, bound
 
 
 def test_a_bound_that_is_infinite_is_not_drawn():
     unknown = {"bound": {"k_s": dict.fromkeys(("mape_percent", "rmse"))}}
     runs = [run("msvr", ("k_s",), snr) | unknown for snr in (54.0, 34.0)]
-    assert not any(map(len, line_data(plots.table6(table6_records(runs[:1])))))
+    (published,) = (data for data in line_data(plots.table6(table6_records(runs[:1]))) if len(data))
+    assert published.tolist() == [[0, 4.37]]
     measured, bound, *_ = paper_figures.sensitivity(runs).axes[0].lines
     assert np.isnan(np.array(bound.get_ydata(), float)).all()
     assert np.isfinite(measured.get_ydata()).all()

@@ -146,15 +146,6 @@ def test_curve_fit_and_refinement_end_in_the_same_optimum():
 # property
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("refined", [False, True])
-def test_same_seed_gives_the_same_numbers_whatever_the_threads(refined):
-    *_, first = outcome_of("linear", refined)
-    problem = problem_of(threads=2)  # the first one has 1
-    model = calibrated(problem, replace(fit(problem, LinearRegression(), None), refined=refined))
-    assert_same(first, predict_stream(problem, model, TEST, flags=True))
-
-
 @pytest.mark.parametrize(
     ("name", "refined"), [pytest.param("msvr", False, marks=pytest.mark.slow), ("linear", True)]
 )

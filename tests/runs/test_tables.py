@@ -8,11 +8,11 @@ import pytest
 
 from suspnet.runs.tables import (
     PUBLISHED,
-    precision_percent,
     records_csv,
     scores_table,
     table6_markdown,
     table6_records,
+    table6_short,
 )
 
 KEYS = [
@@ -168,18 +168,28 @@ def test_csv_holds_every_record(records):
     assert [float(row["measured"]) for row in found] == [r["measured"] for r in records]
 
 
-def test_noise_of_34_db_is_a_precision_of_2_percent():  # section III-E
-    precision = [precision_percent(snr_db) for snr_db in (26.0, 34.0, 54.0)]
-    assert precision == pytest.approx([5.01, 2.0, 0.2], rel=4e-3)
-
-
-SCORES = ["output", "MAPE %", "bound", "RMSE", "bound", "Cramer-Rao sd %", "rms / bound"]
+SCORES = ["output", "MAPE %", "bound", "RMSE", "bound", "bound sd %", "rms / bound"]
 
 
 def scored(**changes):
     bounds = {"cramer_rao_percent": {"k_p": 0.157, "c_p": math.inf}}
     ratios = {"rms_ratio": {"k_p": 1.0249, "c_p": math.nan}}
     return run("msvr", ("k_p", "c_p")) | bounds | ratios | changes
+
+
+def test_tables_on_a_terminal_fit_100_columns(records):
+    outputs = {name: {"coverage_percent": 90.25, "half_width_percent": 12.34} for name in ("k_p",)}
+    wide = scored(intervals={"level": 0.9, "outputs": outputs}) | {
+        "scores": run("msvr", ["k_p"])["scores"]
+    }
+    assert max(map(len, scores_table(wide).splitlines())) <= 100
+    printed = table6_short(records)
+    assert max(map(len, printed.splitlines())) <= 100
+    header, *rows = cells(printed)
+    assert header[0] == "MAPE %, ours (the paper's)"
+    assert rows[0][0] == "MSVR"
+    assert rows[0][1].endswith("(5.89)")
+    assert rows[-1][0] == "bound"
 
 
 def test_scores_table_puts_each_score_beside_its_bound():
@@ -197,6 +207,6 @@ def test_scores_table_of_a_calibrated_model_has_its_intervals():
         "c_p": {"coverage_percent": 100.0, "half_width_percent": 12.34},
     }
     header, *rows = cells(scores_table(scored(intervals={"level": 0.9, "outputs": outputs})))
-    assert header == [*SCORES, "90 % interval +- %", "covers %"]
+    assert header == [*SCORES, "90 % +-", "covers %"]
     assert [row[:7] for row in rows] == cells(scores_table(scored()))[1:]
     assert [row[7:] for row in rows] == [["0.314", "90.25"], ["12.34", "100"]]

@@ -1,14 +1,12 @@
 """Trains of several suspensions: each is itself wherever it runs, and shares its train's trips."""
 
 import json
-import logging
 
 import pytest
 from recording_files import contents
 from trip_fixtures import SENSORS
 from vehicles import AM96
 
-from suspnet.trains.recordings.manifest_files import partial_words
 from suspnet.trains.simulation import writing
 from suspnet.trains.simulation.fleet import Fleet, Scenario, Trains
 from suspnet.trains.simulation.writing import Simulation, write_trains
@@ -161,40 +159,3 @@ def test_another_car_and_other_workers_change_no_file_of_the_others(fleet, tmp_p
 
 
 # interruptions and mistakes
-
-
-@pytest.fixture
-def stopped(tmp_path, monkeypatch):
-    """Return a folder in which a simulation was interrupted in its second suspension."""
-    write_manifest, folder = writing.write_manifest, tmp_path / "fleet"
-
-    def write_three(manifest):
-        if (manifest.bogie, manifest.name) == ("trailing", "trip_002"):
-            raise KeyboardInterrupt("stop")
-        return write_manifest(manifest)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(writing, "write_manifest", write_three)
-        with pytest.raises(KeyboardInterrupt, match="stop"):
-            simulate(folder)
-    return folder
-
-
-def test_interrupted_simulation_goes_on_and_ends_as_if_uninterrupted(
-    stopped, fleet, monkeypatch, caplog
-):
-    assert partial_words(stopped) == "partial: 1 of 2 suspensions are simulated"
-    assert partial_words(stopped / "train_1_car_1_trailing").startswith("partial: 1 of 2 trips")
-    assert partial_words(stopped / "train_1_car_1_leading") == ""
-    written, write = [], writing.write_manifest
-
-    def counted(manifest):
-        written.append((manifest.bogie, manifest.name))
-        return write(manifest)
-
-    monkeypatch.setattr(writing, "write_manifest", counted)
-    with caplog.at_level(logging.INFO):
-        simulate(stopped)
-    assert written == [("trailing", "trip_002")]
-    assert "1 of 2 suspensions are written, continuing" in caplog.text
-    assert contents(stopped) == contents(fleet)

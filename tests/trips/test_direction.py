@@ -1,25 +1,20 @@
 """Trips run in reverse: read by models of their direction, found by their phases, or asked for."""
 
-from dataclasses import replace
-
 import numpy as np
-import pyarrow.csv as pacsv
 import pytest
 import torch
-from trip_fixtures import RATES_HZ, changed, model_at, recalled_trip, small_fleet, write_trips
+from trip_fixtures import RATES_HZ, changed, model_at, recalled_trip, write_trips
 from vehicles import AM96
 
 from suspnet.curves.cross_spectra import PAIRS, CrossSpectra
 from suspnet.curves.estimates import EstimateSettings
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.trains.identification.healthy_trips import read_healthy
-from suspnet.trains.jobs import fleet
 from suspnet.trains.recordings.manifest_files import read_manifest
 from suspnet.trains.sensors.plausibility import DIRECTION_MARGIN, shown_direction
 from suspnet.trains.simulation import Scenario
 from suspnet.trains.trips.trip import evaluate_trip
 from suspnet.vehicle import PARAMETERS, VerticalVehicle
-from suspnet.vehicle.quantities import LogNormal
 
 SETTINGS = TripSettings()
 PARTS = ("bushings", "rubber", "guidance", "longitudinal", "bending")
@@ -67,31 +62,6 @@ def test_trips_of_both_directions_are_as_close_to_the_truth(both_ways, models, i
     assert result.quality.direction == ("forward", "reverse")[i % 2]
 
 
-@pytest.mark.slow
-def test_evaluation_of_a_folder_widens_intervals_by_a_bias_of_the_directions(
-    monkeypatch, no_figures, tmp_path
-):
-    paths = small_fleet()
-
-    def biased(file, *_, **__):
-        i = [path.stem for path in paths].index(file.path.stem)
-        given = recalled_trip(paths[i], [model_at()], SETTINGS)
-        quality = replace(given.quality, direction=("forward", "reverse")[i % 2])
-        c_s = given.estimates | {"c_s": 1 + 0.001 * i + 0.04 * (i % 2)}
-        half = given.half_widths | {"c_s": 0.015}  # of any model
-        return replace(given, estimates=c_s, half_widths=half, quality=quality, flags="")
-
-    monkeypatch.setattr(fleet, "evaluate_trip", biased)
-    settings = fleet.FleetSettings(SETTINGS)
-    (one,) = fleet.evaluate_fleet(paths[0].parent, [model_at()], tmp_path, settings, False)
-    found = [result.half_widths["c_s"] for result in one.results]
-    assert found[:5] == [0.015] * 5
-    assert np.sqrt(found[5] ** 2 - 0.015**2) == pytest.approx(1.645 * 0.02, rel=0.1)
-    np.testing.assert_array_equal(one.state.series.half_widths["c_s"], found)
-    high = pacsv.read_csv(tmp_path / "trips.csv")["c_s_high"].to_pylist()
-    assert high[5] == pytest.approx(one.results[5].interval("c_s")[1], rel=1e-4)
-
-
 @pytest.mark.parametrize("i", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_direction_that_is_not_said_is_found(both_ways, models, tmp_path, i):
     silent = changed(both_ways[i], tmp_path, direction=None)
@@ -119,17 +89,6 @@ def test_phases_show_the_direction_of_worn_vehicles(speed, bogie):
             found, factor = shown_direction(spectra, FREQUENCIES, generator)
             assert found == direction
             assert factor > DIRECTION_MARGIN
-
-
-@pytest.mark.slow  # worn ones are above
-def test_phases_of_vehicles_unlike_their_drawing_never_show_the_wrong_direction():
-    for speed in (30.0, 70.0):
-        drawing = VerticalVehicle(AM96, speed_m_per_s=speed, parts=PARTS)
-        family = replace(drawing, distribution=LogNormal.prior(PARTS))
-        rows = family.sample_unmeasured(torch.ones(20, 5), seed=int(speed))
-        for row in rows:
-            found, factor = shown_direction(exact(drawing, row[None]), FREQUENCIES, drawing)
-            assert found == "forward" or factor < DIRECTION_MARGIN
 
 
 @pytest.mark.slow

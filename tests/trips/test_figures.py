@@ -159,25 +159,6 @@ def test_trips_without_a_mileage_are_counted():
     assert figure.axes[0].get_title() == "without a mileage, not shown: 1"
 
 
-def failed():
-    """Return a trip that failed before it was read."""
-    return trip(1, missing=True, status="error", quality=type(trip().quality)(), truth={})
-
-
-@pytest.mark.slow
-def test_gaps_in_every_curve_can_be_drawn():
-    gaps = curves()
-    for values in (gaps.overview_low, gaps.overview_high, gaps.overview_mean, gaps.coherences):
-        values[:, 20:60] = np.nan
-    gaps.overview_mean[2] = np.nan
-    gaps.overview_low[2] = np.nan
-    gaps.overview_high[2] = np.nan
-    gaps.overview_speed[:] = np.nan
-    gaps.responses[:, 5] = np.nan
-    for figure in whole([trip(0), failed(), trip(2, curves=gaps)]):
-        draw(figure)
-
-
 # intervals and flags
 
 

@@ -1,13 +1,8 @@
 """The richer simulator of the tests, against suspnet's, closed forms and an independent solver."""
 
 import math
-import re
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
-import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 import pytest
 import torch
@@ -34,7 +29,6 @@ HEALTHY = np.ones(5)
 DEGRADED = np.array([0.8, 1.3, 1.2, 0.7, 1.1])
 NEVER = {"blow_off_m_per_s": 1e6}
 BENT = RichVehicle(bending=True)
-SCRIPT = Path(__file__).parents[2] / "benchmarks" / "mismatch.py"
 
 
 def waves(frequencies_hz, velocity=0.01):
@@ -192,25 +186,6 @@ def test_force_of_a_suspension_moves_the_body_as_its_three_modes_say():
 
 
 @pytest.mark.slow
-def test_wheelset_bounces_on_its_contact_with_the_frequency_of_hertz():
-    rich = RichVehicle(contact=True)
-    roots = np.linalg.eigvals(build(HEALTHY, rich).a)
-    high = roots[roots.imag > 2 * math.pi * 50]
-    assert len(high) == 4
-    k, c, m = rich.contact_n_per_m, rich.contact_ns_per_m, rich.wheel_mass_kg
-    # the primary suspension adds 0.65e6 N/m to 1.2e9 and 1850 N s/m to 1e5
-    np.testing.assert_allclose(np.abs(high) / (2 * math.pi), math.sqrt(k / m) / 2 / math.pi, 1e-3)
-    np.testing.assert_allclose(-high.real / np.abs(high), c / 2 / math.sqrt(k * m), 0.03)
-    f, rate_hz, n = 60.0, 2000.0, 4000
-    signals = simulate([HEALTHY], rich, [waves([f])], rate_hz, n, 2000)[0]
-    times, s = np.arange(n) / rate_hz, 2j * math.pi * f
-    box = phasors(signals, times, [f])[0, 0]
-    track = phasors(waves([f])(times)[2], times, [f])[0, 0]
-    assert box / track == pytest.approx((k + s * c) / (k + s * c + m * s**2), rel=5e-3)
-    assert abs(box / track) > 1.05
-
-
-@pytest.mark.slow
 def test_friction_rises_by_half_of_its_limit_and_cycles_as_berg_says():
     limit, half, amplitude = 130.0, 1e-3, 3e-3
     first = BergFriction(np.array([limit]), half)
@@ -282,26 +257,3 @@ def test_a_trip_that_the_model_cannot_explain_has_no_estimate(tmp_path):
 
 
 # the script
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("mode", [[], ["--time"]])
-def test_script_reads_healthy_and_worn_trips_of_a_case(mode, tmp_path):
-    options = ["--cases", "bending", "--readings", "nominal", "commissioned", "--trips", "2"]
-    options += ["--healthy", "3", "--minutes", "6", "--seeds", "0"]
-    options += ["--output", str(tmp_path), *mode]
-    options += ["--train", "data.n_train=2000", "data.n_calibrate=600", "model.n_components=256"]
-    ended = subprocess.run(
-        [sys.executable, str(SCRIPT), *options], capture_output=True, text=True, check=True
-    )
-    rows = pacsv.read_csv(tmp_path / "mismatch.csv").to_pylist()
-    # trips that the drawing's vehicle does not explain have no estimate, spectra have a poor one
-    assert len(rows) == (1 if mode else 2) * 5  # readings, outputs
-    rms = {(r["reading"], r["output"]): r["rms_percent"] for r in rows}
-    assert {r["n_read"] for r in rows} == {2}
-    assert {r["trips"] for r in rows} == {"time" if mode else "spectra"}
-    assert rms["commissioned", "k_s"] < 1
-    if not mode:
-        assert rms["nominal", "k_s"] > 2
-        assert re.search(r"\| bending +\| \w+ +\| nominal +\|", ended.stdout)
-    assert "commissioned" in (tmp_path / "mismatch.md").read_text()

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 import torch
 from reference import phasors
-from rich_effects import EFFECTS, FAMILY, OUTSIDE, ROUGH, SCATTER
-from rich_modes import Modes, simulate_modes
+from rich_effects import EFFECTS, FAMILY, ROUGH
+from rich_modes import Modes, simulate_modes, tones
 from rich_motion import simulate
 from rich_spectra import (
     SIDES,
-    drawn_estimates,
     expected_estimates,
     noise_densities,
     process_spectra,
@@ -27,7 +26,6 @@ from scipy.signal import csd
 from trips_reference import pitching_matrices, pitching_numbers
 from vehicles import AM96
 
-from benchmarks.foreign_trains import CASES
 from suspnet.curves.estimates import EstimateSettings
 from suspnet.vehicle import PARAMETERS, VerticalVehicle
 from suspnet.vehicle.quantities import UNMEASURED
@@ -38,20 +36,6 @@ WORN = np.array([0.8, 1.3, 1.2, 0.7, 1.1])
 BINS = np.arange(0.5, 15.0, 0.25)
 LINEAR = (*FAMILY, "second_bending")
 SETTINGS = EstimateSettings(rates_hz=(1000.0, 500.0, 500.0)).bound(AM96)
-
-
-def tones(train, frequencies_hz, velocity=0.01):
-    """Return a track of cosine waves, all processes alike but for their phase."""
-    omega = 2 * math.pi * np.array(frequencies_hz)
-    arrivals = train.phasors(frequencies_hz) @ np.exp(1j * np.arange(train.n_processes))
-
-    def inputs(times):
-        wave = velocity / omega[:, None, None] * arrivals[..., None]
-        wave = wave * np.exp(1j * omega[:, None, None] * times)
-        factors = [np.ones(len(omega)), 1j * omega, -(omega**2)]
-        return np.stack([(f[:, None, None] * wave).real.sum(axis=0) for f in factors])
-
-    return inputs
 
 
 def half_vehicle_responses(rich, ratios):
@@ -171,17 +155,6 @@ def test_modes_move_as_the_dynamic_stiffness_says():
     assert error.max() < 2e-4
 
 
-@pytest.mark.slow  # see test_laws_act_on_both_sides_as_on_the_half_vehicle
-def test_stepping_of_the_nonlinear_laws_gives_the_modes_where_they_do_not_act():
-    effects = {*LINEAR, "blow_off", "friction"}
-    train = RichTrain.scattered(3, effects, blow_off_m_per_s=1e6, friction_share=1e-12)
-    track = tones(train, [0.9, 5.1, 9.0])
-    found = simulate([WORN], train, [track], 1000.0, 2000, 20_000)[0]
-    linear = simulate_modes(train.matrices(WORN), track, 1000.0, 2000, 20_000)
-    error = np.abs(found - linear).max(axis=1) / np.abs(linear).max(axis=1)
-    assert error.max() < 2e-4  # the two start differently, 20 s before
-
-
 def test_laws_act_on_both_sides_as_on_the_half_vehicle():
     train = RichTrain(frozenset({"rubber", "friction", "blow_off"}))
     rich = RichVehicle(dampers=True, rubber=True)
@@ -194,7 +167,7 @@ def test_laws_act_on_both_sides_as_on_the_half_vehicle():
         np.testing.assert_allclose(one, expected[sensor // 2], rtol=0, atol=1e-4 * size)
 
 
-@pytest.mark.slow  # test_drawn_estimates_scatter_about_the_expected_ones
+@pytest.mark.slow
 def test_spectra_are_those_of_a_long_trip():
     train, rate_hz = RichTrain.scattered(2), 200.0
     n, rng = 200_000, np.random.default_rng(0)
@@ -253,16 +226,6 @@ def test_rigid_motion_of_the_track_makes_no_force(effects):
     np.testing.assert_allclose(aside, 0.0, atol=1e-6)
 
 
-def test_train_without_effects_has_the_states_of_plain_bodies():
-    plain, full = RichTrain().matrices(WORN), RichTrain(frozenset(LINEAR)).matrices(WORN)
-    assert len(plain.mass) == 3 * 5 + 4 * 2
-    assert len(plain.series) == 0
-    assert len(full.mass) == 3 * 5 + 4 * 4 + 2
-    assert len(full.series) == 4 + 8 + 8
-    assert plain.stiffness.shape[1] - len(plain.mass) == 4  # the mean under each wheelset
-    assert full.stiffness.shape[1] - len(full.mass) == 12
-
-
 # property
 
 
@@ -275,16 +238,6 @@ def test_every_train_is_stable_and_has_mass(speed):
             assert (matrices.mass > 0).all()
             a, _, _ = matrices.state_space()
             assert np.linalg.eigvals(a).real.max() < -0.2
-
-
-def test_springs_and_dampers_only_take_energy():
-    train = RichTrain.scattered(1, LINEAR, creep_n=0.0)
-    matrices = train.matrices(WORN)
-    n = len(matrices.mass)
-    for part in (matrices.stiffness, matrices.damping):
-        np.testing.assert_allclose(part[:, :n], part[:, :n].T, atol=1e-9 * np.abs(part).max())
-        assert np.linalg.eigvalsh(part[:, :n]).min() > -1e-9 * np.abs(part).max()
-    assert np.linalg.eigvalsh(matrices.stiffness[:, :n]).min() > 0
 
 
 def test_average_of_both_sides_does_not_see_roll():
@@ -327,34 +280,6 @@ def test_each_effect_changes_what_the_sensors_see(effect):
     assert change.max() > 5e-3
 
 
-def test_scatter_depends_on_seed_and_name_alone():
-    one, again, other = (RichTrain.scattered(seed) for seed in (7, 7, 8))
-    assert one == again
-    assert one.numbers() != other.numbers()
-    names = {name for group in FAMILY for name in SCATTER.get(group, ())}
-    changed = {k for k, v in one.numbers().items() if v != RichTrain().numbers()[k]}
-    assert changed == names
-    rich = RichTrain.scattered(7, {"bending"})
-    assert rich.bending_hz == one.bending_hz
-    assert rich.k_p == 1.0
-    draws = np.array([RichTrain.scattered(seed).c_p for seed in range(200)])
-    assert math.exp(-0.4) <= draws.min() < 0.75
-    assert 1.35 < draws.max() <= math.exp(0.4)
-
-
-@pytest.mark.slow  # the expected ones are tested
-def test_drawn_estimates_scatter_about_the_expected_ones():
-    train, ratios = RichTrain.scattered(1), np.tile(WORN, (40, 1))
-    expected = expected_estimates(train, WORN[None], SETTINGS)
-    drawn = drawn_estimates(train, ratios, SETTINGS, seed=3)
-    assert drawn.auto.shape == (40, 3, len(SETTINGS.frequencies_hz()))
-    ratio = drawn.auto / expected.auto
-    assert ratio.mean() == pytest.approx(1, abs=5e-3)
-    assert ratio.std() == pytest.approx(1 / math.sqrt(expected.n_averages), rel=0.05)
-    once, again = (drawn_estimates(train, ratios[:2], SETTINGS, seed=3) for _ in range(2))
-    assert torch.equal(once.cross, again.cross)
-
-
 @pytest.mark.slow
 def test_expected_estimates_of_the_plain_train_are_those_of_training_curves():
     observer = SETTINGS.observer(VerticalVehicle(AM96))
@@ -384,35 +309,6 @@ def test_spectra_of_both_sides_hold_every_combination():
 # failure
 
 
-def test_effects_must_be_known():
-    with pytest.raises(ValueError, match="`effects` must be some of"):
-        RichTrain(frozenset({"wings"}))
-    assert not set(FAMILY) & set(OUTSIDE)
-
-
 def test_nonlinear_trains_have_no_spectra():
     with pytest.raises(ValueError, match="simulate trips"):
         spectra(RichTrain(frozenset({"friction"})), [WORN], BINS)
-
-
-@pytest.mark.parametrize(
-    ("name", "faults"),
-    [
-        ("all+other bogie at 70 %", {"other_c_s": 0.7}),
-        ("all+other bogie flat", {"other_k_s": 8.0, "other_c_s": 0.1}),
-    ],
-)
-def test_other_bogie_of_a_case_is_healthy_until_its_train_wears(name, faults):
-    healthy = CASES["all"].train(3)
-    assert CASES[name].train(3) == healthy
-    assert CASES[name].train(3, with_faults=True) == replace(healthy, **faults)
-    frequencies = np.array([1.0, 5.0])
-    worn = spectra(replace(healthy, **faults), [HEALTHY], frequencies)
-    assert np.abs(worn / spectra(healthy, [HEALTHY], frequencies) - 1).max() > 0.01
-
-
-@pytest.mark.parametrize(("percent", "share"), [("0.1", 0.001), ("1", 0.01), ("5", 0.05)])
-def test_wheelsets_of_a_case_are_excited_at_the_share_of_its_name(percent, share):
-    case = CASES[f"all+wheelsets {percent} %"]
-    assert case.in_spectra_only
-    assert case.train(3) == replace(CASES["all+wheelsets"].train(3), wheelset_share=share)

@@ -2,17 +2,11 @@
 
 import numpy as np
 import pyarrow.parquet as pq
-import pytest
 import yaml
-from rich_effects import FAMILY
-from rich_spectra import expected_estimates
 from rich_train import RichTrain
 from rich_train_trips import write_train_trips
-from scipy.signal import csd
 from vehicles import AM96
 
-from suspnet.curves.cross_spectra import PAIRS
-from suspnet.curves.estimates import EstimateSettings
 from suspnet.trains.recordings.manifest import CHANNELS
 from suspnet.trains.recordings.manifest_files import read_manifest
 from suspnet.trains.simulation import Fleet, Scenario, Simulation, write_fleet
@@ -58,29 +52,6 @@ def test_trips_without_effects_are_those_of_suspnet(tmp_path):
             np.testing.assert_allclose(left, plain, rtol=0, atol=3e-3 * np.abs(plain).max())
 
 
-@pytest.mark.slow  # test_rich_train.py: expected estimates
-def test_spectra_of_a_trip_are_the_expected_ones(tmp_path):
-    train = RichTrain.scattered(3).at(60.0)
-    fleet = fleet_of(minutes=6.0, speed_m_per_s=60.0, sensors=NOISY)
-    (path,) = write_train_trips(tmp_path, train, [WORN], fleet, seed=1, sides="mean")
-    settings = EstimateSettings(minutes=6.0, rates_hz=tuple(RATES.values())).bound(AM96)
-    expected = expected_estimates(train, WORN[None], settings)
-    signals = [columns(path, c)["mean"][:: 2 if c == "axle_box" else 1] for c in CHANNELS]
-    # the axle box folds at 250 Hz: its noise above is seen twice
-    f, found = csd(
-        np.array(signals)[:, None], np.array(signals), 500.0, nperseg=10_000, detrend=False
-    )
-    bins = np.isin(np.round(f * 20), np.round(settings.frequencies_hz().numpy() * 20))
-    for pair, (x, y) in enumerate(PAIRS):
-        size = (expected.auto[0, x] * expected.auto[0, y]).sqrt().numpy()
-        error = (found[x, y, bins] - expected.cross[0, pair].numpy()) / size
-        if x > 0:
-            assert np.sqrt(np.mean(np.abs(error) ** 2)) < 0.3  # 34 averages: 0.17
-            assert abs(error.mean()) < 0.06
-        response = found[x, y, bins] / expected.cross[0, pair].numpy()
-        assert np.median(np.abs(response)) == pytest.approx(1, abs=0.1)
-
-
 # property
 
 
@@ -106,48 +77,3 @@ def test_a_pair_has_a_list_of_sensors_for_each_channel(tmp_path):
             expected = both.get(sides, (both["left"] + both["right"]) / 2)
             found = columns(one, channel)[sides]
             np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6 * np.abs(found).max())
-
-
-def test_pair_average_of_a_trip_is_that_on_the_mean_track_alone(tmp_path):
-    train = RichTrain.scattered(4)
-    vertical = RichTrain(train.effects - {"roll"}, **train.numbers())
-    found, expected = (
-        write_train_trips(tmp_path / name, one, [WORN], fleet_of(), 3, sides="mean")[0]
-        for name, one in (("3d", train), ("vertical", vertical))
-    )
-    for channel in CHANNELS:
-        a, b = (columns(path, channel)["mean"] for path in (found, expected))
-        np.testing.assert_allclose(a, b, rtol=0, atol=1e-6 * np.abs(b).max())
-
-
-@pytest.mark.slow
-def test_each_trip_has_its_own_speed_and_its_own_draws(tmp_path):
-    fleet, train = fleet_of(3), RichTrain.scattered(1, {*FAMILY, "drift"})
-    write = {"ratios": np.ones((3, 5)), "fleet": fleet, "seed": 4}
-    speeds = [30.0, 55.0, 85.0]
-    found = write_train_trips(tmp_path / "a", train, **write, speeds_m_per_s=speeds)
-    ends = np.array([columns(path, "speed")["speed"][[0, -1]] for path in found])
-    np.testing.assert_allclose(ends[:, 0], speeds)
-    np.testing.assert_allclose(np.abs(ends[:, 1] / ends[:, 0] - 1), 0.03, rtol=1e-5)
-    again = write_train_trips(tmp_path / "b", train, **write, speeds_m_per_s=speeds)
-    write |= {"ratios": np.ones((1, 5))}
-    alone = write_train_trips(tmp_path / "c", train, **write, speeds_m_per_s=speeds[:1])
-    for channel in CHANNELS:
-        first = columns(found[0], channel)["right"]
-        np.testing.assert_array_equal(first, columns(again[0], channel)["right"])
-        np.testing.assert_array_equal(first, columns(alone[0], channel)["right"])
-        assert abs(np.corrcoef(first, columns(found[1], channel)["right"])[0, 1]) < 0.5
-
-
-@pytest.mark.slow
-def test_service_journeys_begin_and_end_at_rest(tmp_path):
-    fleet = fleet_of(minutes=6.0, journey="service", n_stops=0, speed_m_per_s=50.0)
-    (path,) = write_train_trips(tmp_path, RichTrain.scattered(1), [WORN], fleet, 0)
-    speed = columns(path, "speed")["speed"]
-    assert speed[0] == speed[-1] == 0
-    assert speed.max() > 45
-    body = columns(path, "body")["left"]
-    assert np.abs(body[:250]).max() < 0.05 * np.abs(body).max()
-
-
-# failure

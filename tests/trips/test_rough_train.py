@@ -10,12 +10,11 @@ import pytest
 import yaml
 from reference import phasors
 from rich_effects import FAMILY, FLEXIBLE, LAWS, ROUGH
-from rich_line import of_the_trip, rough_profiles, wandering_journey
-from rich_modes import simulate_modes
-from rich_motion import CHOKE_M_PER_S, BentDampers, march, simulate
+from rich_line import of_the_trip, rough_profiles
+from rich_modes import simulate_modes, tones
+from rich_motion import CHOKE_M_PER_S, march, simulate
 from rich_sensors import MAINS, NOISE, RANGES_G, recorded
 from rich_spectra import responses_of
-from rich_structure import torsion_shape
 from rich_train import RichTrain
 from rich_train_trips import Drive, write_train_trips
 from rich_vehicle import RichSystem
@@ -74,27 +73,6 @@ def test_equipment_is_a_mass_that_depends_on_frequency():
     np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
-def test_shifted_load_turns_the_body_about_another_centre():
-    train = RichTrain(load_x_m=0.4)
-
-    def shifted(mass, n, _):
-        # kinetic energy of a centre at x with heave z + x pitch
-        x, body = 0.4, mass[0, 0]
-        mass[0, 1] = mass[1, 0] = body * x
-        mass[1, 1] += body * x**2
-        return mass
-
-    found = responses_of(train, WORN, BINS, "mean")[..., 0]
-    np.testing.assert_allclose(found, half_vehicle(shifted, WORN), rtol=1e-9)
-
-
-def test_equipment_off_the_middle_leaves_the_balance_of_the_body():
-    plain, hung = (RichTrain(frozenset(e)) for e in ((), {"equipment"}))
-    slow = np.array([0.05])
-    found, expected = (responses_of(one, HEALTHY, slow) for one in (hung, plain))
-    np.testing.assert_allclose(found, expected, rtol=1e-3)
-
-
 def test_floors_are_small_oscillators_under_the_sensors():
     train = RichTrain.scattered(2, {"floors", "roll"})
     light = replace(train, floors_kg=1e-6)
@@ -125,16 +103,6 @@ def test_axle_box_moves_as_a_wheelset_on_contact_and_ballast():
     np.testing.assert_allclose(found[:, 0, 1], expected, rtol=1e-6)
 
 
-def test_torsion_is_that_of_a_free_bar():
-    length, h = 26.6, 26.6 / 4000
-    x = (np.arange(4000) + 0.5) * h - length / 2
-    shape = np.array([torsion_shape(one, length) for one in x])
-    assert np.mean(shape**2) == pytest.approx(1, rel=1e-6)
-    assert np.mean(shape) == pytest.approx(0, abs=1e-9)  # no rigid roll in it
-    slope = np.gradient(shape, h)
-    assert abs(slope[1]) < 2e-3 * np.abs(slope).max()  # no torque at the ends
-
-
 @pytest.mark.parametrize("effect", ["torsion", "frame_torsion"])
 def test_torsions_have_their_frequency_where_nothing_else_holds_them(effect):
     free = {"k_p": 1e-6, "k_s": 1e-6, "c_p": 1e-6, "c_s": 1e-6, "anti_roll_nm": 0.0}
@@ -146,19 +114,6 @@ def test_torsions_have_their_frequency_where_nothing_else_holds_them(effect):
     root = roots[np.argmin(np.abs(roots - 2j * math.pi * hz))]
     assert abs(root) / (2 * math.pi) == pytest.approx(hz, rel=2e-3)
     assert -root.real / abs(root) == pytest.approx(damping, rel=0.05)
-
-
-def test_frame_torsion_yields_by_its_own_stiffness():
-    train = RichTrain(frozenset({"frame_torsion"}))
-    structure = train._structure
-    where = structure.names.index(("bogie 1", "torsion"))
-    matrices = train.matrices(HEALTHY)
-    own = matrices.mass[where] * (2 * math.pi * train.frame_torsion_hz) ** 2
-    # its shape is 1 at the four springs of a frame, 0 at the secondary ones
-    springs = 4 * AM96.primary_stiffness_n_per_m / 2
-    assert matrices.stiffness[where, where] == pytest.approx(own + springs, rel=1e-9)
-    gyration = AM96.bogie_gyration_m * train.bogie_roll_gyration_m / AM96.half_wheelbase_m
-    assert matrices.mass[where] == pytest.approx(2 * AM96.bogie_mass_kg * gyration**2, rel=1e-9)
 
 
 def test_sensors_read_a_share_of_the_lateral_motion_of_their_place():
@@ -181,20 +136,6 @@ def test_sensors_read_a_share_of_the_lateral_motion_of_their_place():
 
 
 # reference: motion
-
-
-def tones(train, frequencies_hz, velocity):
-    """Return a track of cosine waves, all processes alike but for their phase."""
-    omega = 2 * math.pi * np.array(frequencies_hz)
-    arrivals = train.phasors(frequencies_hz) @ np.exp(1j * np.arange(train.n_processes))
-
-    def inputs(times):
-        wave = velocity / omega[:, None, None] * arrivals[..., None]
-        wave = wave * np.exp(1j * omega[:, None, None] * times)
-        factors = [np.ones(len(omega)), 1j * omega, -(omega**2)]
-        return np.stack([(f[:, None, None] * wave).real.sum(axis=0) for f in factors])
-
-    return inputs
 
 
 def test_rough_linear_train_moves_in_time_as_its_spectra_say():
@@ -281,43 +222,6 @@ def test_damper_follows_its_law_and_balances_its_energy(laws):
         assert force[last].max() > -1.1 * force[last].min()
 
 
-def test_implicit_steps_end_at_the_law():
-    rng = np.random.default_rng(0)
-    shape = (3, 200)
-    laws = {"exponent": rng.choice([1.0, 1.8], 200), "damping": rng.uniform(1e3, 4e4, shape)}
-    choked = laws["exponent"] > 1
-    laws["rebound"] = np.where(choked, 0.0, 0.2) * np.ones(shape)
-    laws["blow_off_n"] = np.where(choked, math.inf, 900.0) * np.ones(shape)
-    laws["exponent"] = laws["exponent"] * np.ones(shape)
-    own = -laws["damping"] * rng.uniform(0.05, 0.8, shape)
-    force, excess = 10 ** rng.uniform(-2, 4, shape) * rng.choice([-1, 1], shape), np.empty(shape)
-    BentDampers(SimpleNamespace(**laws), 0.2, own)(force, excess)
-    force = force + own * excess
-    names = ("damping", "blow_off_n", "rebound", "exponent")
-    numbers = np.broadcast_arrays(force, *(laws[name] for name in names))
-    velocity = np.vectorize(velocity_of)(*numbers)
-    np.testing.assert_allclose(excess + force / laws["damping"], velocity, rtol=1e-4)
-
-
-def test_air_spring_is_soft_when_slow_and_stiff_when_fast():
-    train = RichTrain(frozenset({"air_spring"}))
-    matrices, chokes = train.matrices(HEALTHY), train._structure.series.where("choke")
-    heave = train._structure.names.index(("body", "z"))
-    k_s = 4 * AM96.secondary_stiffness_n_per_m
-    assert matrices.stiffness[heave, heave] == pytest.approx(k_s)
-    assert matrices.series_stiffness[chokes].sum() == pytest.approx(train.closed_choke * k_s)
-    assert (train.build(HEALTHY).exponent > 1).sum() == len(chokes) == 4
-
-
-def test_secondary_friction_pulls_body_and_frames_apart():
-    train = RichTrain(frozenset({"secondary_friction"}))
-    system, mass, names = train.build(HEALTHY), train.matrices(HEALTHY).mass, train._structure.names
-    np.testing.assert_allclose(system.friction_n, train.secondary_friction_n)
-    for body, sum_of_rows in (("body", -4), ("bogie 1", 2), ("bogie 2", 2)):
-        i = names.index((body, "z"))
-        assert system.e[len(mass) + i].sum() * mass[i] == pytest.approx(sum_of_rows)
-
-
 # reference: line
 
 
@@ -368,15 +272,6 @@ def test_what_the_line_adds_has_its_own_derivatives(effect):
             np.testing.assert_allclose(rise, added[derivative][1:-1], atol=2e-2 * size)
     same = rough_profiles(profiles, {"heat"}, np.random.default_rng(1))
     np.testing.assert_array_equal(same[0].elevation_m, profiles[0].elevation_m)
-
-
-def test_speed_ramps_and_wanders_about_its_mean():
-    journeys = [wandering_journey(70.0, 1200.0, np.random.default_rng(i)) for i in range(40)]
-    speeds = np.array([one.speeds_m_per_s for one in journeys]) / 70.0
-    assert speeds.mean() == pytest.approx(1, abs=5e-3)
-    assert 0.95 < speeds[:, 0].min() < 0.985 < 1.015 < speeds[:, 0].max() < 1.05
-    steps = np.diff(speeds, axis=1).std() / math.sqrt(2)
-    assert steps == pytest.approx(0.006, rel=0.1)
 
 
 def test_heat_softens_the_dampers_and_the_manifest_states_it(tmp_path):

@@ -2,7 +2,6 @@
 
 import math
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,7 +20,6 @@ from trip_fixtures import (
 )
 
 from suspnet.curves.welch import Welch
-from suspnet.estimation.estimate import Flags
 from suspnet.estimation.from_spectra import estimate_with_noise
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import ERROR, NO_ESTIMATE, OK
@@ -38,8 +36,6 @@ from suspnet.vehicle import PARAMETERS
 
 SETTINGS = TripSettings()
 RATE = dict(zip(CHANNELS, RATES_HZ, strict=True))
-MARKED = {}
-"""Estimates of models of two speeds, of which flags are set."""
 N_SEGMENTS = 28  # (299.86 s - 20 s) // 10 s + 1
 
 
@@ -244,33 +240,6 @@ def test_delay_that_is_the_same_all_along_is_named(manifests, model, good, tmp_p
     assert re.search(r"body looks (4\.9\d?|5(\.[01]\d?)?) ms late relative to bogie", words)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("flags", "expected"),
-    [
-        (("", "odder"), "in 1 of 2 speed bins, at 50.0 m/s: odder"),
-        (("odd", "odder"), "in 2 of 2 speed bins, at 70.0 m/s: odd"),
-    ],
-)
-def test_flags_of_speed_bins_are_those_of_the_best_one_flagged(
-    two_speeds, model, monkeypatch, flags, expected
-):
-    given = dict(zip((70.0, 50.0), flags, strict=True))
-
-    def marked(one, *arguments):
-        words = given[one.generator.speed_m_per_s]
-        flags = Flags(((("missing", words),) if words else (),))
-        if one.generator not in MARKED:
-            MARKED[one.generator] = estimate_with_noise(one, *arguments)
-        estimate, noise_share = MARKED[one.generator]
-        return replace(estimate, flags=flags), noise_share
-
-    monkeypatch.setattr(recording, "estimate_with_noise", marked)
-    path = two_speeds
-    assert evaluate_trip(path, [slow_model(), model], SETTINGS).flags == expected
-    assert evaluated(path, model).flags == flags[0]
-
-
 # limit
 
 
@@ -331,21 +300,6 @@ def test_nothing_to_estimate_from(manifests, model, tmp_path, speed, settings, m
     assert result.status == NO_ESTIMATE
     assert message in result.reason
     assert result.mileage_km == 1000.0
-
-
-def test_limits_of_averages_and_deviation_are_inclusive(manifests, model, good):
-    """The deviation is the median of the worse link, over the band that it is read in."""
-    curves = good.curves
-    used = curves.frequencies_hz <= model.settings.body_high_hz + 1e-9
-    medians = np.median(curves.deviations[0]), np.median(curves.deviations[1, used])
-    assert medians[1] > medians[0]
-    # a median that counts those beyond would be told apart
-    assert abs(np.median(curves.deviations[1]) / medians[1] - 1) > 0.005
-    for factor, status in ((1.001, OK), (0.999, NO_ESTIMATE)):
-        settings = TripSettings(
-            max_deviation=factor * float(medians[1]), min_averages=good.quality.n_averages
-        )
-        assert evaluated(manifests[0], model, settings).status == status
 
 
 @pytest.mark.parametrize(

@@ -143,24 +143,6 @@ def test_blocks_of_any_size_give_the_same_motion(name, cuts):
     )
 
 
-def test_ten_minutes_at_5000_hz_do_not_drift():
-    system, rate_hz, block = SYSTEMS["quarter_car"], 5000.0, 300_000
-    motion = SampledMotion(system, rate_hz)
-    rms = []
-    for minute in range(10):
-        inputs = noise(system, block, seed=minute)
-        outputs = motion.advance(list(inputs))
-        rms.append(outputs.std(axis=1))
-        # the mean of a minute of white noise, times the gain 1 at zero frequency
-        assert (np.abs(outputs.mean(axis=1)) < 5 / math.sqrt(block)).all()
-    # the body swings for 3 s: the rms of its 20 swings in a minute is known to about 16 %
-    assert (np.max(rms, axis=0) < 2 * np.min(rms, axis=0)).all()
-    # what happened before the last two minutes is forgotten, exp(-0.31 * 60) of it is left
-    late = SampledMotion(system, rate_hz)
-    late.advance(list(noise(system, block, seed=8)))
-    assert relative_error(outputs, late.advance(list(noise(system, block, seed=9)))) < 1e-7
-
-
 # failure
 
 

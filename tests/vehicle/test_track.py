@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.signal import welch
-from scipy.stats import kurtosis
 
 from suspnet.vehicle.track import (
     TRACKS,
@@ -183,15 +182,6 @@ def test_curvature_is_the_acceleration_at_unit_speed(name):
         assert np.abs(difference - derivative).max() < 1e-3 * rms
 
 
-def test_profile_is_gaussian_even_when_few_waves_make_it():
-    # Two waves of random phase alone would give an excess kurtosis of -0.75.
-    white = TrackSpectrum("white", np.ones_like, "test")
-    starts = [make_profile(white, 18.0, 1.0, s, longest_m=2.5).elevation_m[0] for s in range(1000)]
-    # Period 24 m, waves 10 and 11 of it, each with variance S dn = 1 / 24.
-    assert np.var(starts) == pytest.approx(2 / 24, rel=4 * math.sqrt(2 / 1000))
-    assert abs(kurtosis(starts)) < 4 * math.sqrt(24 / 1000)
-
-
 def test_profile_is_set_by_its_seed():
     def profile(seed):
         return make_profile(track_spectrum("chinese_ballastless"), 300.0, 0.1, seed)
@@ -200,14 +190,6 @@ def test_profile_is_set_by_its_seed():
     np.testing.assert_array_equal(first.elevation_m, again.elevation_m)
     np.testing.assert_array_equal(first.curvature_per_m, again.curvature_per_m)
     assert abs(np.corrcoef(first.curvature_per_m, other.curvature_per_m)[0, 1]) < 0.1
-
-
-def test_ends_of_a_profile_are_no_neighbours():
-    gaps = [
-        profile.elevation_m[-1] - profile.elevation_m[0]
-        for profile in (make_profile(TRACKS["german_low"], 100.0, 0.5, s) for s in range(100))
-    ]
-    assert np.std(gaps) > 1e-3  # 3.5 mm if independent, below 0.1 mm if the period closed
 
 
 @pytest.mark.parametrize(("length", "step", "n_points"), [(100.0, 0.1, 1001), (1.0, 0.3, 5)])

@@ -96,8 +96,8 @@ class Mqtt:
 
     def subscribe(self, suspensions: Sequence[str]) -> Sequence[str]:
         """Start to connect; return the suspensions of this process. See `FrameSource`."""
-        own = [name for name in suspensions if is_in_shard(name, self.shard, self.n_shards)]
-        self._topics = [self.broker.topic(name) for name in own]
+        subscribed = [name for name in suspensions if is_in_shard(name, self.shard, self.n_shards)]
+        self._topics = [self.broker.topic(name) for name in subscribed]
         client = self.broker.client(self.client_id, manual_ack=True)
         client.on_connect, client.on_disconnect = self._on_connect, self._on_disconnect
         client.on_connect_fail, client.on_message = self._on_connect_fail, self._on_message
@@ -115,7 +115,7 @@ class Mqtt:
         )
         client.loop_start()
         self._client = client
-        return own
+        return subscribed
 
     def receive(self, timeout_s: float) -> list[bytes]:
         """Return the frames received so far; the source never ends. See `FrameSource`.

@@ -191,12 +191,12 @@ def _targets(
         if channel not in channels:
             names = ", ".join(channels) or "none"
             raise ValueError(f"`{where}.channels`: {channel!r} is not a channel; known: {names}")
-        own = addresses if isinstance(channels[channel], Email) else ("",)
+        destinations = addresses if isinstance(channels[channel], Email) else ("",)
         try:
-            channels[channel].check(own)
+            channels[channel].check(destinations)
         except (OSError, ValueError) as error:
             raise ValueError(f"`{where}`, channel {channel!r}: {error}") from None
-        targets += [(channel, address) for address in own]
+        targets += [(channel, address) for address in destinations]
     return tuple(dict.fromkeys(targets))
 
 

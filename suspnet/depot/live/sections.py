@@ -111,8 +111,8 @@ class Sections:
         self._next_ns = 0
         self._back: Counter[str] = Counter()
         self._standing = Standing()
-        own = [self.section_s, settings.late_s, settings.pause_s]
-        self.identity = [*own, self._begun(0).identity]
+        limits = [self.section_s, settings.late_s, settings.pause_s]
+        self.identity = [*limits, self._begun(0).identity]
 
     def add(self, frame: Frame, is_known: bool = False) -> None:
         """Take a frame; `is_known` if it was taken before, and is read again after a restart.

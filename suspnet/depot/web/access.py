@@ -102,8 +102,9 @@ def identify_program() -> None:
     if scheme.lower() != "bearer":
         identify_visitor()
         return
-    own, sent = current_access().token.encode(), token.strip().encode("utf-8", "replace")
-    if not own or not hmac.compare_digest(own, sent):  # in a time that does not depend on the text
+    expected, sent = current_access().token.encode(), token.strip().encode("utf-8", "replace")
+    # in a time that does not depend on the text
+    if not expected or not hmac.compare_digest(expected, sent):
         raise Unauthorized("This token is not accepted: send Authorization: Bearer TOKEN.")
     g.visitor = Visitor()
 

@@ -68,8 +68,8 @@ def _answers(rule: str, query: type[Query], item: Any) -> Callable[[Rows], Rows]
         @functools.wraps(function)
         def answered(**place: str) -> Response:
             content, view = _query(query), _read_view()
-            found = function(view, content, *(_index(view, id) for id in place.values()))
-            return _sent(answer.model_validate(_listed(content, found)))
+            rows = function(view, content, *(_index(view, id) for id in place.values()))
+            return _sent(answer.model_validate(_listed(content, rows)))
 
         api.add_url_rule(rule, function.__name__, answered)
         summary = (function.__doc__ or "").strip()
@@ -94,7 +94,11 @@ def suspensions(view: FleetView, query: models.OfFleet) -> Iterable[Row]:
 def parts(view: FleetView, query: models.Paged, index: int) -> Iterable[Row]:
     """List the parameters of a suspension, or the parts of its bogie where each is read."""
     state = view.states[index]
-    return (_part(state, own) for own in state.assessments if own.parameter != BODY_MASS)
+    return (
+        _part(state, assessment)
+        for assessment in state.assessments
+        if assessment.parameter != BODY_MASS
+    )
 
 
 @_answers("/suspensions/<id>/trips", models.Paged, models.TripAnswer)
@@ -309,11 +313,11 @@ def _operation(route: Route, contents: dict[Any, Row]) -> Row:
         schema: Row = {"type": "string", "pattern": models.ID}
         place = {"name": "id", "in": "path", "required": True, "schema": schema}
         parameters.append(place | {"description": "Name of the suspension in addresses."})
-    for name, own in route.query.model_json_schema().get("properties", {}).items():
+    for name, declared in route.query.model_json_schema().get("properties", {}).items():
         # the query has no null: a missing name takes its place
-        kinds = [kind for kind in own.get("anyOf", []) if kind.get("type") != "null"]
-        schema = kinds[0] if kinds else {k: v for k, v in own.items() if k != "description"}
-        place = {"name": name, "in": "query", "description": own["description"]}
+        kinds = [kind for kind in declared.get("anyOf", []) if kind.get("type") != "null"]
+        schema = kinds[0] if kinds else {k: v for k, v in declared.items() if k != "description"}
+        place = {"name": name, "in": "query", "description": declared["description"]}
         parameters.append(place | {"schema": schema})
     return {
         "operationId": route.name,

@@ -90,8 +90,8 @@ def create_app(
 
 def _choose_language(language: str | None) -> None:
     """Answer in a language, or in that of the browser; programs are answered in English."""
-    asked = request.accept_languages.values() if not _is_api() else ()
-    choose(language if language and not _is_api() else best_of(list(asked)))
+    languages = request.accept_languages.values() if not _is_api() else ()
+    choose(language if language and not _is_api() else best_of(list(languages)))
 
 
 def _form_error(error: CSRFError) -> Any:
@@ -117,9 +117,9 @@ def _http_error(error: HTTPException) -> Any:
     code = error.code or 500
     # the pages' own descriptions are for visitors, those of werkzeug are not
     is_own = code == 403 or (code == 404 and request.path.startswith("/suspension/"))
-    own = error.description if is_own else None
+    description = error.description if is_own else None
     other = N_("Something went wrong; see the program's terminal.")
-    words = own or gettext(MESSAGES.get(code, other))
+    words = description or gettext(MESSAGES.get(code, other))
     return message_page(gettext(error.name), words), code
 
 

@@ -80,8 +80,8 @@ def comparable(
     A trip is if it is relative to one of `references`, has no estimate, or is of `results`. One
     with a start is neither if it is one of `results` that has none: it is the same trip.
     """
-    own = trips.c.key.in_([trip_key(result) for result in results])
-    chosen = sql.or_(trips.c.status != OK, own, *map(_is_relative_to, references))
+    is_in_results = trips.c.key.in_([trip_key(result) for result in results])
+    chosen = sql.or_(trips.c.status != OK, is_in_results, *map(_is_relative_to, references))
     same = (
         sql.and_(trips.c.trip == result.trip, _is(trips.c.mileage_km, result.mileage_km))
         for result in results
@@ -261,15 +261,15 @@ def write_curves(
         result = results[key]
         orders[key] = _order(result.mileage_km, result.start, result.trip)
     ordered = sorted(orders, key=lambda key: orders[key])
-    kept = {*ordered[:1], *ordered[-N_NEWEST:]}
-    gone = [{"of": suspension, "gone": key} for key in stored if key not in kept]
+    remaining = {*ordered[:1], *ordered[-N_NEWEST:]}
+    gone = [{"of": suspension, "gone": key} for key in stored if key not in remaining]
     if gone:
         match = sql.and_(
             curves.c.suspension_id == sql.bindparam("of"), curves.c.key == sql.bindparam("gone")
         )
         connection.execute(curves.delete().where(match), gone)
     rows = []
-    for key in new.keys() & kept:
+    for key in new.keys() & remaining:
         arrays = to_arrays(new[key])
         content = dump_arrays({name: arrays[name] for name in NAMES})
         row = {"suspension_id": suspension, "key": key, "arrays": content}
@@ -290,23 +290,25 @@ def read_responses(
     chosen = (
         sql.select(*columns).join_from(curves, trips, _same_trip()).join(suspensions).where(where)
     )
-    found = []
+    of_trips = []
     for row in connection.execute(chosen).all():
         if not all(isinstance(value, kind) for value, kind in zip(row, ROW, strict=True)):
             raise HistoryError(at(name, "curves-damaged"))
         trip, mileage_km, start, content, sha256 = row
-        what = f"{name}: the stored curves of {trip}"
+        subject = f"{name}: the stored curves of {trip}"
         try:
-            stored = load_arrays(bytes(content), what, sha256)
+            stored = load_arrays(bytes(content), subject, sha256)
         except DamagedFileError as error:
             raise HistoryError(" ".join(str(error).split())) from None
         shapes = {key: array.shape for key, array in stored.items()}
         both = (2, *shapes.get("frequencies_hz", ()))
         if shapes != dict.fromkeys(NAMES, both) | {"frequencies_hz": both[1:]} or len(both) != 2:
-            raise HistoryError(f"{what} is damaged: it holds {shapes}")
+            raise HistoryError(f"{subject} is damaged: it holds {shapes}")
         responses = to_responses(stored.pop("real"), stored.pop("imaginary"))
-        found.append(TripResponses(trip, or_nan(mileage_km), start, responses=responses, **stored))
-    return sorted(found, key=lambda curves: _order(curves.mileage_km, curves.start, curves.trip))
+        of_trips.append(
+            TripResponses(trip, or_nan(mileage_km), start, responses=responses, **stored)
+        )
+    return sorted(of_trips, key=lambda curves: _order(curves.mileage_km, curves.start, curves.trip))
 
 
 def _same_trip() -> sql.ColumnElement[bool]:

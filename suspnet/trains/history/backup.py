@@ -46,8 +46,8 @@ def restore(copy: Path, place: str) -> int:
     SQLite would apply to the restored store, or if the backup is damaged or not a store.
     """
     _check_file(place)
-    there = "nothing is replaced: move this file away first, and end the programs that use it"
-    _check_absent(Path(place), ("", *COMPANIONS), there)
+    remedy = "nothing is replaced: move this file away first, and end the programs that use it"
+    _check_absent(Path(place), ("", *COMPANIONS), remedy)
     if not copy.is_file():
         raise HistoryError(f"{copy}: there is no such backup")
     return _copied(copy, Path(place))
@@ -62,9 +62,9 @@ def _check_file(place: str) -> None:
 
 
 def _check_absent(path: Path, ends: Sequence[str], words: str) -> None:
-    for found in (path.with_name(path.name + end) for end in ends):
-        if os.path.lexists(found):
-            raise HistoryError(f"{found}: {words}")
+    for file in (path.with_name(path.name + end) for end in ends):
+        if os.path.lexists(file):
+            raise HistoryError(f"{file}: {words}")
 
 
 def _copied(source: Path, target: Path, *, replace: bool = False) -> int:

@@ -217,14 +217,14 @@ class _Fleet:
 
     def __init__(self, connection: Connection, bad: list[BadRow]) -> None:
         self.revisions = _revisions(connection)
-        known = known_suspensions(connection, bad=bad)
-        self.ids = {key: number for number, (key, _) in known.items()}
+        by_number = known_suspensions(connection, bad=bad)
+        self.ids = {key: number for number, (key, _) in by_number.items()}
         self.alarms = read_stored(connection, Alarm, bad)
         self.seen = read_stored(connection, Acknowledgement, bad)
         open_ids = [
             self.ids[key]
-            for key, own in self.alarms.items()
-            if key in self.ids and any(alarm.is_open for alarm in own)
+            for key, alarms in self.alarms.items()
+            if key in self.ids and any(alarm.is_open for alarm in alarms)
         ]
         newest = sql.select(trips.c.suspension_id, sql.func.max(trips.c.mileage_km))
         newest = newest.where(is_one_of(trips.c.suspension_id, open_ids))
@@ -241,14 +241,14 @@ class _Fleet:
         """Return an alarm as messages contain it."""
         by = newest_of(alarm, self.seen.get(key, []))
         names = {"vehicle": key[0], **asdict(key[1])}
-        what = {"parameter": alarm.parameter, "cause": str(alarm.cause)}
-        event = [*names.values(), *what.values(), int(alarm.severity), alarm.begin_km]
+        subject = {"parameter": alarm.parameter, "cause": str(alarm.cause)}
+        event = [*names.values(), *subject.values(), int(alarm.severity), alarm.begin_km]
         return {
             "event": _digest(*event),
             "state": state,
             **names,
             "place": str(key[1]),
-            **what,
+            **subject,
             "severity": str(alarm.severity),
             "begin_km": alarm.begin_km,
             "end_km": or_null(alarm.end_km),
@@ -296,7 +296,7 @@ def _chosen(
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Return the alarms to send at once and those of a digest, and note them as reported."""
     chosen = sql.select(told).where(told.c.recipient == recipient.name)
-    known = {
+    reported = {
         tuple(row[name] for name in OF): _Reported(
             row["severity"], row["at_km"], bool(row["is_open"])
         )
@@ -308,11 +308,13 @@ def _chosen(
     for key, alarms in fleet.alarms.items():
         if not recipient.is_about(key) or key not in fleet.ids:
             continue
-        own = [((fleet.ids[key], a.parameter, str(a.cause)), a) for a in alarms]
+        identified = [((fleet.ids[key], a.parameter, str(a.cause)), a) for a in alarms]
         # the last alarm that starts up to the noted mileage is the one that was reported
-        last = {of: a for of, a in own if of in known and a.begin_km <= known[of].at_km}
-        for of, alarm in own:
-            before = known.get(of)
+        last = {
+            of: a for of, a in identified if of in reported and a.begin_km <= reported[of].at_km
+        }
+        for of, alarm in identified:
+            before = reported.get(of)
             state = before.state(alarm, alarm is last.get(of)) if before else "new"
             is_news = state in ("new", "worse")
             is_urgent = alarm.is_open and is_news and alarm.severity in recipient.at_once
@@ -333,7 +335,7 @@ def _chosen(
         {"recipient": recipient.name, **dict(zip(OF, of, strict=True)), **asdict(note)}
         | {"is_open": int(note.is_open)}
         for of, note in notes.items()
-        if known.get(of) != note
+        if reported.get(of) != note
     ]
     upsert(connection, told, changed)
     return urgent, listed

@@ -247,14 +247,14 @@ def known_suspensions(
     Unreadable rows are left out and appended to `bad`.
     """
     chosen = sql.select(suspensions).where(sql.true() if where is None else where)
-    known = {}
+    by_number = {}
     for row in connection.execute(chosen).mappings():
         try:
-            known[int(row["id"])] = key_of(row), int(row["revision"])
+            by_number[int(row["id"])] = key_of(row), int(row["revision"])
         except ValueError as error:
             if bad is not None:
                 bad.append(bad_row(suspensions, row, error))
-    return known
+    return by_number
 
 
 def is_one_of(column: sql.Column[int], ids: Iterable[int]) -> sql.ColumnElement[bool]:
@@ -310,7 +310,7 @@ def read_stored(
     return of_key
 
 
-def row_of_stored(suspension: int, kept: Event | Alarm | Acknowledgement) -> dict[str, Any]:
+def row_of_stored(suspension: int, entry: Event | Alarm | Acknowledgement) -> dict[str, Any]:
     """Return an object as a row of its table."""
-    values = {name: or_null(value) for name, value in asdict(kept).items()}
-    return values | {"suspension_id": suspension, "words": stored(kept.words)}
+    values = {name: or_null(value) for name, value in asdict(entry).items()}
+    return values | {"suspension_id": suspension, "words": stored(entry.words)}

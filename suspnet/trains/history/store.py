@@ -160,8 +160,8 @@ class History:
             of_each: dict[int, dict[bytes, TripResult]] = {}
             for row, result in zip(rows, results, strict=True):
                 of_each.setdefault(row["suspension_id"], {})[row["key"]] = result
-            for number, own in of_each.items():
-                write_curves(connection, number, own)
+            for number, of_suspension in of_each.items():
+                write_curves(connection, number, of_suspension)
 
     def read(self, vehicle: str, place: Place) -> list[TripResult]:
         """Return the trips of a suspension by mileage; empty if there are none."""
@@ -200,8 +200,8 @@ class History:
         mileage are the same trip and left out.
         """
         fitting, others = comparable(references, results)
-        own = sql.select(sql.func.count(trips.c.id)).join(suspensions)
-        count = own.where(is_of(vehicle, place), others)
+        counted = sql.select(sql.func.count(trips.c.id)).join(suspensions)
+        count = counted.where(is_of(vehicle, place), others)
         with self._reading() as connection:
             several = read_series(connection, self.bad_rows, {(vehicle, place)}, fitting)
             return next(iter(several), None), int(connection.execute(count).scalar_one())
@@ -224,9 +224,9 @@ class History:
         """Return the maintenance events of a suspension by mileage."""
         return self._read(Event, is_of(vehicle, place)).get((vehicle, place), [])
 
-    def keep_alarms(self, vehicle: str, place: Place, own: Sequence[Alarm]) -> None:
+    def keep_alarms(self, vehicle: str, place: Place, new_alarms: Sequence[Alarm]) -> None:
         """Replace the stored alarms of a suspension."""
-        self.keep_all_alarms({(vehicle, place): own})
+        self.keep_all_alarms({(vehicle, place): new_alarms})
 
     def keep_all_alarms(self, of_each: Mapping[Key, Sequence[Alarm]]) -> None:
         """Replace the stored alarms of suspensions; those with the same alarms are not written."""
@@ -240,7 +240,9 @@ class History:
                 number: [row_of_stored(number, alarm) for alarm in of_each[key]]
                 for key, number in ids.items()
             }
-            changed = [n for n, own in rows.items() if _by_key(own) != _by_key(before[n])]
+            changed = [
+                n for n, alarm_rows in rows.items() if _by_key(alarm_rows) != _by_key(before[n])
+            ]
             _raise_revisions(connection, changed)
             connection.execute(alarms.delete().where(is_one_of(alarms.c.suspension_id, changed)))
             upsert(connection, alarms, [row for number in changed for row in rows[number]])
@@ -272,23 +274,24 @@ class History:
             return read_stored(connection, kind, self.bad_rows, where)
 
     def _store(
-        self, vehicle: str, place: Place, kept: Sequence[Event] | Sequence[Acknowledgement]
+        self, vehicle: str, place: Place, entries: Sequence[Event] | Sequence[Acknowledgement]
     ) -> None:
         with self._writing() as connection:
             (number,) = self._numbers(connection, [(vehicle, place)]).values()
             _raise_revisions(connection, [number])
-            if kept:
-                rows = [row_of_stored(number, entry) for entry in kept]
-                upsert(connection, TABLES[type(kept[0])], rows)
+            if entries:
+                rows = [row_of_stored(number, entry) for entry in entries]
+                upsert(connection, TABLES[type(entries[0])], rows)
 
     def _numbers(self, connection: Connection, keys: Iterable[Key]) -> dict[Key, int]:
         """Return the number of each suspension; HistoryError if one is unknown."""
         numbers = {key: number for number, (key, _) in known_suspensions(connection).items()}
-        known = "; ".join(sorted(f"{vehicle}: {place}" for vehicle, place in numbers)) or "none"
+        names = sorted(f"{vehicle}: {place}" for vehicle, place in numbers) or ["none"]
         for vehicle, place in (wanted := list(keys)):
             if (vehicle, place) not in numbers:
                 raise HistoryError(
-                    f"{self}: no trip of {vehicle}: {place} is stored here; known: {known}"
+                    f"{self}: no trip of {vehicle}: {place} is stored here; known: "
+                    f"{'; '.join(names)}"
                 )
         return {key: numbers[key] for key in wanted}
 

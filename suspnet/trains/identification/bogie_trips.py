@@ -38,6 +38,7 @@ from suspnet.vehicle.quantities import IN_BETWEEN, PLACES
 PARTS_OF_BOGIE = (
     *("bushings", "rubber", "guidance", "longitudinal", "bending", "payload", "sensors"),
     *("frame_sway", "frame_yaw", "body_yaw", "creep", "torsion", "yaw_dampers"),
+    *("second_bending", "body_torsion", "equipment", "floors", "track"),
 )
 """What a vehicle whose parts are read may have besides rigid bodies on springs and dampers."""
 SHARED = ("bogie", "axle", "frame_sensor", "body_sensor_m", "nominal")
@@ -169,9 +170,9 @@ def _lost_sensors(recording: Recording, generator: SpatialVehicle) -> tuple[str,
     assert generator.sensors is not None
     places = _places(recording.manifest, generator.frame_sensor)
     living = {places.get(name) for name in recording.sensors()}
-    kept = [place for place in generator.sensors if place in living]
+    present = [place for place in generator.sensors if place in living]
     lost = tuple(place for place in generator.sensors if place not in living)
-    if lost and not show_parts(kept):
+    if lost and not show_parts(present):
         raise NoEstimateError(
             Finding(
                 "sensors-lost-for-parts",
@@ -201,8 +202,8 @@ def sensor_places(
     Sensors in between, such as the mean of two axle boxes, are left out. `frame_sensor` is where
     sensors on the frame at axle 1 really are.
     """
-    found = set(_places(manifest, frame_sensor).values())
-    return tuple(place for place in PLACES if place in found and place not in IN_BETWEEN)
+    places = set(_places(manifest, frame_sensor).values())
+    return tuple(place for place in PLACES if place in places and place not in IN_BETWEEN)
 
 
 def show_parts(places: Sequence[str]) -> bool:
@@ -266,13 +267,13 @@ def _unexplained(parts: PartsEstimate, most: float) -> str:
 
 def _places(manifest: TripManifest, frame_sensor: Literal["axle", "centre"]) -> dict[str, str]:
     """Return the place of each sensor by its name, such as "axle_box axle2 left"."""
-    found = {}
-    for name, one in manifest.sensors().items():
-        axle = "axle2" if one.is_elsewhere else "axle1"
-        frame = "centre" if frame_sensor == "centre" and not one.is_elsewhere else axle
-        known = {"axle_box": f"axle_box_{axle}", "bogie": f"frame_{frame}", "body": "body"}
-        found[name] = f"{known[name.split()[0]]}_{manifest.side_of(one) or MIDDLE}"
-    return found
+    places = {}
+    for name, sensor in manifest.sensors().items():
+        axle = "axle2" if sensor.is_elsewhere else "axle1"
+        frame = "centre" if frame_sensor == "centre" and not sensor.is_elsewhere else axle
+        along = {"axle_box": f"axle_box_{axle}", "bogie": f"frame_{frame}", "body": "body"}
+        places[name] = f"{along[name.split()[0]]}_{manifest.side_of(sensor) or MIDDLE}"
+    return places
 
 
 def _bins(frequencies_hz: Tensor, segment_s: float) -> Tensor:

@@ -123,15 +123,19 @@ def numbers(outcome: Commissioned) -> list[Number]:
     nominal = dict(
         zip(UNMEASURED, outcome.generator.nominal_values()[len(PARAMETERS) :], strict=True)
     )
-    known = {quantity.name: quantity for quantity in QUANTITIES}
+    quantity_of = {quantity.name: quantity for quantity in QUANTITIES}
     both = outcome.prior, outcome.posterior
-    ends = [np.stack([one.quantile(n) for n in (-1, 0, 1)], axis=1) for one in both]
-    found = []
+    ends = [
+        np.stack([distribution.quantile(n) for n in (-1, 0, 1)], axis=1) for distribution in both
+    ]
+    uncertain = []
     for i, name in enumerate(outcome.prior.names):
         prior, posterior = (tuple((nominal[name] * part[i]).tolist()) for part in ends)
-        was, left = (float(one.deviations[i]) for one in both)
-        found.append(Number(known[name], nominal[name], prior, posterior, (was, left)))
-    return sorted(found, key=lambda one: ("", *PARTS).index(one.quantity.part))
+        before, after = (float(distribution.deviations[i]) for distribution in both)
+        uncertain.append(
+            Number(quantity_of[name], nominal[name], prior, posterior, (before, after))
+        )
+    return sorted(uncertain, key=lambda number: ("", *PARTS).index(number.quantity.part))
 
 
 def is_explained(outcome: Commissioned) -> bool:
@@ -145,39 +149,39 @@ LOOK_FIRST = Finding("look-at-sensors-first", untrusted=UNTRUSTED)
 
 def doubts(outcome: Commissioned) -> list[str]:
     """Return a sentence for each reason not to rely on a commissioned vehicle."""
-    found: list[str] = []
+    reasons: list[str] = []
     if not is_explained(outcome):
-        found.append(Finding("vehicle-misfit", incomplete=INCOMPLETE, untrusted=UNTRUSTED))
+        reasons.append(Finding("vehicle-misfit", incomplete=INCOMPLETE, untrusted=UNTRUSTED))
     if outcome.misfit > UNTRUSTED:
-        found.append(LOOK_FIRST)
+        reasons.append(LOOK_FIRST)
     if not outcome.converged:
-        found.append(
+        reasons.append(
             "The search for the vehicle did not converge: its numbers may not be the most "
             "probable ones. Commission on more or longer trips."
         )
     if outcome.n_agree < LEAST_AGREEING:
-        found.append(Finding("no-start-agrees", n_starts=outcome.n_starts))
-    return found
+        reasons.append(Finding("no-start-agrees", n_starts=outcome.n_starts))
+    return reasons
 
 
-def unplaced(found: HealthyTrips) -> str | None:
+def unplaced(healthy: HealthyTrips) -> str | None:
     """Return a sentence if single sensors are assumed in the middle because no side is given."""
-    if not (names := found.manifests[0].unplaced):
+    if not (names := healthy.manifests[0].unplaced):
         return None
     return Finding("sensors-unplaced", names=together(names, ", "))
 
 
-def usable_minutes(found: HealthyTrips, settings: EstimateSettings) -> float:
+def usable_minutes(healthy: HealthyTrips, settings: EstimateSettings) -> float:
     """Return about how many minutes of a trip are usable at one speed."""
-    usual = float(np.median([group.spectra.n_averages for group in found.groups]))
+    usual = float(np.median([group.spectra.n_averages for group in healthy.groups]))
     return settings.minutes * usual / settings.n_averages
 
 
-def verdict(found: HealthyTrips, outcome: Commissioned) -> str:
+def verdict(healthy: HealthyTrips, outcome: Commissioned) -> str:
     """Return a sentence on whether the vehicle explains its healthy trips."""
-    n_trips, n_groups = len(found.manifests), len(found.groups)
+    n_trips, n_groups = len(healthy.manifests), len(healthy.groups)
     stretches = Finding("stretches", n=n_groups) if n_groups > n_trips else ""
-    n_reverse = len({group.trip for group in found.groups if group.direction == REVERSE})
+    n_reverse = len({group.trip for group in healthy.groups if group.direction == REVERSE})
     in_reverse = Finding("number-in-reverse", n=n_reverse) if n_reverse else ""
     trips = together((Finding("trips", n=n_trips), stretches, in_reverse), ", ")
     kind = "explains" if is_explained(outcome) else "does-not-explain"
@@ -190,9 +194,10 @@ def of_parts(bogie: CommissionedBogie) -> str:
     spreads = {}
     for kind, name in (("k", "springs"), ("c", "dampers")):
         ratios = [
-            healthy[one] / np.mean([healthy[o] for o in BOGIE_PARTS if kind_of(o) == kind_of(one)])
-            for one in BOGIE_PARTS
-            if one.startswith(kind)
+            healthy[part]
+            / np.mean([healthy[other] for other in BOGIE_PARTS if kind_of(other) == kind_of(part)])
+            for part in BOGIE_PARTS
+            if part.startswith(kind)
         ]
         spreads[name] = 100 * max(abs(ratio - 1) for ratio in ratios)
     return Finding("each-part-is-read", misfit=bogie.misfit, **spreads)
@@ -204,16 +209,16 @@ SHOWS_MASS = 2 * EXPLAINED
 
 def doubts_of_parts(bogie: CommissionedBogie) -> list[str]:
     """Return a sentence for each reason not to rely on a bogie of which each part is read."""
-    found: list[str] = []
+    reasons: list[str] = []
     if not bogie.misfit <= EXPLAINED:
-        found.append(Finding("parts-misfit", explained=EXPLAINED))
+        reasons.append(Finding("parts-misfit", explained=EXPLAINED))
     if bogie.misfit > UNTRUSTED:
-        found.append(LOOK_FIRST)
+        reasons.append(LOOK_FIRST)
     if not bogie.converged:
-        found.append(NOT_CONVERGED)
+        reasons.append(NOT_CONVERGED)
     # what does not explain the trips shows no mass either
     doubt = mass_doubt(bogie.masses) if bogie.misfit <= SHOWS_MASS else None
-    return [*found, *filter(None, [doubt])]
+    return [*reasons, *filter(None, [doubt])]
 
 
 def calm_of_parts() -> str:
@@ -247,11 +252,11 @@ def agreement(outcome: Commissioned) -> str:
 
 def reference(outcome: Commissioned) -> list[str]:
     """Return what healthy means for models of this vehicle, as sentences."""
-    known = {one.quantity.name: one for one in numbers(outcome)}
+    number_of = {number.quantity.name: number for number in numbers(outcome)}
     values = [
-        f"{name} = {spoken(known[f'healthy_{name}'])}"
+        f"{name} = {spoken(number_of[f'healthy_{name}'])}"
         for name in PARAMETERS[:4]
-        if f"healthy_{name}" in known
+        if f"healthy_{name}" in number_of
     ]
     kind = "healthy-now-is" if values else "healthy-now"
     if any("±" in value for value in values):
@@ -260,13 +265,13 @@ def reference(outcome: Commissioned) -> list[str]:
     return [Finding(kind, values=together(values, ", ")), *map(str, laws)]
 
 
-def untold(found: Sequence[Number]) -> str:
+def untold(uncertain: Sequence[Number]) -> str:
     """Return a sentence on the numbers that the trips do not determine; empty if there are none."""
-    names = [one.quantity.meaning for one in found if not one.is_told]
+    names = [number.quantity.meaning for number in uncertain if not number.is_told]
     if not names:
         return ""
     return Finding(
-        "numbers-untold", n_names=len(names), n_found=len(found), names=together(names, "; ")
+        "numbers-untold", n_names=len(names), n_found=len(uncertain), names=together(names, "; ")
     )
 
 
@@ -275,32 +280,32 @@ def force_scale(bogie_mass_kg: float) -> str:
     return Finding("force-scale", bogie_mass_kg=bogie_mass_kg)
 
 
-def spoken(one: Number) -> str:
+def spoken(number: Number) -> str:
     """Return a number as commissioned with its uncertainty and unit."""
-    scale, unit = _unit(one)
-    return f"{_value(*one.posterior, scale)} {unit}".strip()
+    scale, unit = _unit(number)
+    return f"{_value(*number.posterior, scale)} {unit}".strip()
 
 
-def cells(one: Number) -> dict[str, Any]:
+def cells(number: Number) -> dict[str, Any]:
     """Return a number as a row of a table."""
-    scale, unit = _unit(one)
-    quantity = one.quantity
+    scale, unit = _unit(number)
+    quantity = number.quantity
     return {
         "symbol": SYMBOLS.get(quantity.name, ""),
         "unit": unit or "1",
-        "prior": _value(*one.prior, scale),
-        "posterior": _value(*one.posterior, scale),
-        "change": None if one.ratio is None else one.ratio - 1,
-        "left": one.uncertainty_left,
-        "told": one.is_told,
+        "prior": _value(*number.prior, scale),
+        "posterior": _value(*number.posterior, scale),
+        "change": None if number.ratio is None else number.ratio - 1,
+        "left": number.uncertainty_left,
+        "told": number.is_told,
     }
 
 
-def _unit(one: Number) -> tuple[float, str]:
-    unit = one.quantity.unit
+def _unit(number: Number) -> tuple[float, str]:
+    unit = number.quantity.unit
     if unit.startswith("N"):
         for scale, prefix in PREFIXES:
-            if one.nominal >= scale:
+            if number.nominal >= scale:
                 return scale, prefix + unit
     return 1.0, unit
 
@@ -316,7 +321,7 @@ def _value(low: float, median: float, high: float, scale: float) -> str:
     if not half:
         return f"{value:g}"
     if half > NARROW * abs(value):
-        ends = (_rounded(one / scale, max(abs(one / scale), half / 10)) for one in (low, high))
+        ends = (_rounded(end / scale, max(abs(end / scale), half / 10)) for end in (low, high))
         return f"{_rounded(value, max(abs(value), half / 10))} ({' to '.join(ends)})"
     return f"{_rounded(value, half)} ± {_rounded(half, half)}"
 

@@ -31,8 +31,8 @@ REPORTED_S = 0.003
 EXPLAINED = 0.8
 """Smallest fraction of the model's unexplained residual that a reported delay must explain.
 
-A delay of 5 ms and more explains 99 %. Physics that a model lacks looks like a delay of up to
-9 ms but explains at most 66 % (trips of richer trains, tests/rich_trips.py).
+A real delay explains almost all of it; physics that a model lacks may look like a delay, but
+explains far less (docs/methods.md).
 """
 
 

@@ -28,9 +28,9 @@ def of_direction(
     A single direction of all methods is assumed where the manifest gives none; `check_channels`
     compares it with the phases.
     """
-    known = {method.generator.direction for method, _ in pairs} - {None}
+    directions = {method.generator.direction for method, _ in pairs} - {None}
     direction = recording.manifest.direction
-    if direction is None and len(known) > 1:
+    if direction is None and len(directions) > 1:
         method, segments = pairs[0]
         direction = direction_of(recording, segments, method.generator, settings)
     chosen = [
@@ -41,7 +41,7 @@ def of_direction(
             Finding(
                 "direction-of-models",
                 direction_words=direction_words(direction),
-                direction_words2=direction_words(known.pop()),
+                direction_words2=direction_words(directions.pop()),
             )
         )
     return chosen
@@ -72,9 +72,9 @@ def direction_of(
     groups = groups_to_read(speeds, settings.speed_tolerance, settings.min_speed_m_per_s)
     if not groups:
         return FORWARD  # nothing is read of it
-    there = replace(generator, speed_m_per_s=float(speeds[groups[0]].mean()))
+    at_speed = replace(generator, speed_m_per_s=float(speeds[groups[0]].mean()))
     spectra = segments.average(groups[0])
-    direction, factor = shown_direction(spectra, segments.frequencies_hz, there)
+    direction, factor = shown_direction(spectra, segments.frequencies_hz, at_speed)
     if factor < DIRECTION_MARGIN:
         raise TripError(
             at(

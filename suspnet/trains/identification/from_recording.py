@@ -48,8 +48,8 @@ from suspnet.trains.spectra.wheel_lines import wheel_lines
 from suspnet.vehicle import ResponseGenerator
 
 ROLL_AS_NOISE = 1.2
-"""Factor on half widths where one sensor of a side stands for both: its roll is noise. On four
-trains of the tests 90 % intervals held 88 to 100 % without it, at least 96 % with it."""
+"""Factor on half widths where one sensor of a side stands for both: its roll acts
+as noise that the deviations do not include (docs/methods.md)."""
 
 
 def estimate_trip(model: Model, trip: Recording | Path | str, settings: TripSettings) -> Estimate:
@@ -99,7 +99,7 @@ def read_trip(pairs: Pairs, recording: Recording, settings: TripSettings) -> Tri
     model, segments = pairs[0]
     if isinstance(model, BogieModel):
         return _of_parts(model, segments, recording, settings)
-    methods = [(m, own) for m, own in pairs if isinstance(m, FittedMethod)]
+    methods = [(m, segments) for m, segments in pairs if isinstance(m, FittedMethod)]
     return _of_equal_sides(methods, recording, settings)
 
 
@@ -151,12 +151,12 @@ def _of_equal_sides(
     try:
         pairs = of_direction(pairs, recording, settings)
         methods = [method for method, _ in pairs]
-        found = [_groups_read(*pair, recording, settings, methods) for pair in pairs]
+        readings = [_groups_read(*pair, recording, settings, methods) for pair in pairs]
     except NoEstimateError as reason:
         return TripReading(reason)
-    bins = [one for groups in found for one in groups if isinstance(one, SpeedBin)]
+    bins = [reading for groups in readings for reading in groups if isinstance(reading, SpeedBin)]
     if not bins:  # the first reason of each method
-        reasons = dict.fromkeys(str(groups[0]) for groups in found if groups)
+        reasons = dict.fromkeys(str(groups[0]) for groups in readings if groups)
         return TripReading(NoEstimateError(together(reasons)))
     estimate, law = combined(bins), bins[0].method.law
     if law is not None:
@@ -168,7 +168,7 @@ def _of_equal_sides(
 
 
 def _doubts(bins: Sequence[SeenBin]) -> list[str]:
-    return list(dict.fromkeys(one.doubts for one in bins if one.doubts))
+    return list(dict.fromkeys(speed_bin.doubts for speed_bin in bins if speed_bin.doubts))
 
 
 def _lone_channels(generator: ResponseGenerator, recording: Recording) -> list[str]:
@@ -198,15 +198,15 @@ def _groups_read(
     tolerance, any_speed = settings.speed_tolerance, reads_at_any_speed(method)
     least = settings.min_speed_m_per_s if any_speed else 0.0
     groups = groups_to_read(speeds, tolerance, least, at_any_speed=any_speed)
-    if not any(groups_of(one, models, speeds, groups) for one in models):
+    if not any(groups_of(model, models, speeds, groups) for model in models):
         if segments.welch.n_averages(len(speeds)) < settings.min_averages:
             return [NoEstimateError(_too_short(recording, segments, settings))]
         return [NoEstimateError(no_group_words(speeds, groups, models, tolerance, least))]
     trained = trip_settings(method)
-    own = groups_of(method, models, speeds, groups)
+    groups_of_method = groups_of(method, models, speeds, groups)
     lines = () if any_speed else wheel_lines(recording)
-    found: list[SpeedBin | NoEstimateError] = []
-    for part in steady(segments, speeds, own, trained, settings, lines):
+    readings: list[SpeedBin | NoEstimateError] = []
+    for part in steady(segments, speeds, groups_of_method, trained, settings, lines):
         try:
             doubts = _checked(method.generator, recording, part, segments, settings)
             if part.spectra is None or not part.has_enough:
@@ -215,10 +215,10 @@ def _groups_read(
             if not part.is_certain:
                 raise NoEstimateError(_uncertain(part, settings))
             seen = _seen(trained, method.generator.direction, part, doubts)
-            found.append(_read(method, seen, settings.level))
+            readings.append(_read(method, seen, settings.level))
         except NoEstimateError as reason:
-            found.append(reason)
-    return found
+            readings.append(reason)
+    return readings
 
 
 def _checked(
@@ -275,17 +275,19 @@ def _seen(
 
 def _read(method: FittedMethod, seen: SeenBin, level: float) -> SpeedBin:
     """Return the estimate from a group of segments, or raise NoEstimateError."""
-    known = method, seen.spectra
+    method_and_spectra = method, seen.spectra
     try:
-        estimate, noise_share = estimate_with_noise(*known, level, seen.speeds, seen.left_out)
+        estimate, noise_share = estimate_with_noise(
+            *method_and_spectra, level, seen.speeds, seen.left_out
+        )
     except MissingFeaturesError as error:
         raise NoEstimateError(Finding("features-missing", error=error)) from None
-    late = delay_words(*known, estimate, seen.speeds, seen.left_out)
+    late = delay_words(*method_and_spectra, estimate, seen.speeds, seen.left_out)
     if estimate.flags.has("misfit").any() and not late:
         raise NoEstimateError(_unexplained_words(estimate))
     if late:
         estimate = replace(estimate, flags=estimate.flags.with_kind("misfit", late))
-    of_seen = {one.name: getattr(seen, one.name) for one in fields(SeenBin)}
+    of_seen = {field.name: getattr(seen, field.name) for field in fields(SeenBin)}
     of_seen["doubts"] = together((seen.doubts, estimate.found))
     return SpeedBin(**of_seen, method=method, estimate=estimate, noise_share=noise_share)
 

@@ -56,14 +56,14 @@ class HealthyTrips(ShortRepr):
     @property
     def directions(self) -> tuple[Direction, ...]:
         """Directions of travel of all trips of the folder: each needs a model of its own."""
-        run = {one.direction for one in self.groups} | {one.direction for one in self.of_parts}
-        run |= set(self.later)
-        return tuple(one for one in DIRECTIONS if one in run)
+        run = {group.direction for group in self.groups}
+        run |= {trip.direction for trip in self.of_parts} | set(self.later)
+        return tuple(direction for direction in DIRECTIONS if direction in run)
 
     @property
     def speeds_m_per_s(self) -> tuple[float, ...]:
         """Speeds of the stretches in use, [m/s]."""
-        return tuple(one.speed_m_per_s for one in self.groups or self.of_parts)
+        return tuple(stretch.speed_m_per_s for stretch in self.groups or self.of_parts)
 
 
 @threads(1)  # spectra are products of many small matrices
@@ -104,38 +104,38 @@ def read_healthy(
         If the trips are of another vehicle or bogie, of several suspensions or of different
         sensors, if a recording is faulty, or if fewer than three trips have a usable stretch.
     """
-    manifests = [one.trip for one in paths or map(ManifestFile, find_manifests(folder))]
+    manifests = [file.trip for file in paths or map(ManifestFile, find_manifests(folder))]
     manifests.sort(key=lambda manifest: manifest.mileage_km)
     n_first = len(manifests) if n_first is None else n_first
     manifests, later = manifests[:n_first], manifests[n_first:]
     _check_same(folder, manifests, generator)
     vehicle = bogie_vehicle(manifests, generator)
     # a trip without a usable stretch is left out, with the reason
-    kept: list[_ReadTrip] = []
+    usable: list[_ReadTrip] = []
     left_out = []
     for manifest in bar("healthy trips", items=manifests, unit="trip", shown=progress):
         try:
-            kept.append(_read_one(manifest, len(kept), generator, vehicle, settings, trips))
+            usable.append(_read_one(manifest, len(usable), generator, vehicle, settings, trips))
         except NoEstimateError as reason:
             left_out.append(of(manifest.name, str(reason)))
     # the remaining trips must be enough, and of the same sensors
-    if len(kept) < LEAST_TRIPS:
+    if len(usable) < LEAST_TRIPS:
         kind = "too-few-healthy-as" if left_out else "too-few-healthy"
-        given = {"n": len(kept), "least": LEAST_TRIPS, "reasons": together(left_out)}
-        raise TripError(at(folder, kind, **given))
-    paired = {trip.paired for trip in kept}
+        numbers = {"n": len(usable), "least": LEAST_TRIPS, "reasons": together(left_out)}
+        raise TripError(at(folder, kind, **numbers))
+    paired = {trip.paired for trip in usable}
     if len(paired) > 1:
         raise TripError(at(folder, "pairs-and-single-sensors"))
-    groups = tuple(group for trip in kept for group in trip.groups)
+    groups = tuple(group for trip in usable for group in trip.groups)
     return HealthyTrips(
-        tuple(trip.manifest for trip in kept),
-        groups if all(trip.groups for trip in kept) else (),
+        tuple(trip.manifest for trip in usable),
+        groups if all(trip.groups for trip in usable) else (),
         paired.pop(),
         tuple(left_out),
         tuple(manifest.direction for manifest in later if manifest.direction is not None),
         vehicle,
-        tuple(trip.of_parts for trip in kept if trip.of_parts is not None),
-        tuple(_doubts(kept, groups, generator)),
+        tuple(trip.of_parts for trip in usable if trip.of_parts is not None),
+        tuple(_doubts(usable, groups, generator)),
     )
 
 
@@ -177,7 +177,7 @@ def _read_one(
         if groups and trips.check_channels:
             other = elsewhere(generator, settings, groups[0], manifest.direction)
     # phases show the direction only with the sensors in their places
-    placed = generator if other is None else other.found.vehicle
+    placed = generator if other is None else other.best.vehicle
     direction = direction_of(recording, segments, placed, trips)
     if not groups and not recording.absent:
         reason = together((Finding("no-steady-stretch"), unrepaired_words(recording)), ": ")
@@ -243,7 +243,7 @@ def _check_same(
     if len(places) > 1:
         raise TripError(at(folder, "several-suspensions", places=together(places, ", ")))
     for key, ours in (("bogie", generator.bogie), ("axle", generator.axle)):
-        for named in {getattr(one, key) for one in manifests} - {None, ours}:
+        for named in {getattr(manifest, key) for manifest in manifests} - {None, ours}:
             raise TripError(at(folder, OTHER[key], named=named, own=ours))
 
 
@@ -251,12 +251,12 @@ def _with_all_sensors(
     recording: Recording, vehicle: SpatialVehicle, trips: TripSettings, direction: Direction
 ) -> BogieTrip:
     """Return a trip as its parts are read; NoEstimateError if it is too short for all sensors."""
-    found = bogie_trip(recording, vehicle, trips, direction)
-    if found.lost:
+    trip = bogie_trip(recording, vehicle, trips, direction)
+    if trip.lost:
         raise NoEstimateError(
             Finding("no-stretch-of-all-sensors", unrepaired_words=unrepaired_words(recording))
         )
-    return found
+    return trip
 
 
 def _spectra(

@@ -104,19 +104,19 @@ def layout_bounds(
     --------
     >>> from suspnet import SpatialVehicle, layout_bounds, read_vehicles
     >>> vehicle = SpatialVehicle(read_vehicles()["am96"], parts=("frame_sway", "frame_yaw"))
-    >>> (found,) = layout_bounds(vehicle, {"pairs": vehicle.sensors})
-    >>> found.known.shape, bool((found.learnt > found.known).all())
+    >>> (pairs,) = layout_bounds(vehicle, {"pairs": vehicle.sensors})
+    >>> pairs.known.shape, bool((pairs.learnt > pairs.known).all())
     ((13,), True)
     """
     settings = settings or EstimateSettings()
     check_number("n_healthy", n_healthy, low=1, most=1000, whole=True)
     check_number("wheelset_share", wheelset_share, low=0, most=1)
-    found = []
+    bounds = []
     for name, places in layouts.items():
         trip = _Trip.of(generator, tuple(places), settings, wheelset_share)
         known, learnt = trip.bounds(n_healthy)
-        found.append(LayoutBounds(name, tuple(places), known, learnt, trip.are_independent))
-    return found
+        bounds.append(LayoutBounds(name, tuple(places), known, learnt, trip.are_independent))
+    return bounds
 
 
 @dataclass(frozen=True)
@@ -174,15 +174,16 @@ class _Trip:
         prior = np.linalg.inv(np.array(self.vehicle.distribution.covariance))
         n, mass = len(prior), len(prior) + len(COMPONENTS) - 1
         for ratio in HEALTHY_MASSES:
-            one = self._information({COMPONENTS[-1]: ratio})
+            information = self._information({COMPONENTS[-1]: ratio})
             # each healthy trip has an unknown mass of its own
-            shared = one[:n, mass] / np.sqrt(one[mass, mass] + MASS_DEVIATION**-2)
-            prior += n_healthy / len(HEALTHY_MASSES) * (one[:n, :n] - np.outer(shared, shared))
-        own = np.diag([WEAR**-2] * (len(COMPONENTS) - 1) + [MASS_DEVIATION**-2])
+            shared = information[:n, mass] / np.sqrt(information[mass, mass] + MASS_DEVIATION**-2)
+            n_trips = n_healthy / len(HEALTHY_MASSES)
+            prior += n_trips * (information[:n, :n] - np.outer(shared, shared))
+        prior_of_trip = np.diag([WEAR**-2] * (len(COMPONENTS) - 1) + [MASS_DEVIATION**-2])
         known, learnt = [], []
         for part in COMPONENTS[:-1]:
             whole = self._information({part: WORN, COMPONENTS[-1]: np.exp(MASS_MEAN)})
-            whole[n:, n:] += own
+            whole[n:, n:] += prior_of_trip
             known.append(np.diag(np.linalg.inv(whole[n:, n:])))
             whole[:n, :n] += prior
             learnt.append(np.diag(np.linalg.inv(whole))[n:])
@@ -201,8 +202,10 @@ class _Trip:
         alone = [list(further[i : i + 4]) for i in range(0, len(further), 4)]  # four wheelsets
         if self.are_independent:
             n, alone = 0, [[i] for i in range(n)] + alone
-        found = spectral_information(responses[0], changes[0], self.density, self.noise, n, alone)
-        return self.n_averages * found
+        information = spectral_information(
+            responses[0], changes[0], self.density, self.noise, n, alone
+        )
+        return self.n_averages * information
 
 
 def _noise(
@@ -261,8 +264,8 @@ def spectral_information(
     moved = torch.linalg.solve_triangular(root, moved, upper=False)
     moved = moved.reshape(n_freq, m, -1, p).transpose(1, 2)  # (n_freq, n_directions, m, p)
     half = density[:, None, None, None] * (moved @ a.mH[:, None])
-    own = [a[:, :, list(one)] @ a[:, :, list(one)].mH for one in alone]
-    w = torch.cat([half + half.mH, *(one[:, None] for one in own)], dim=1)
+    spectra = [a[:, :, list(inputs)] @ a[:, :, list(inputs)].mH for inputs in alone]
+    w = torch.cat([half + half.mH, *(spectrum[:, None] for spectrum in spectra)], dim=1)
     if n_coherent:
         basis = torch.linalg.qr(a[:, :, :n_coherent])[0]
         projector = (basis @ basis.mH)[:, None]
@@ -272,5 +275,5 @@ def spectral_information(
     rows, nuisances = rows[:, :n], rows[:, n:]
     inverse = torch.linalg.pinv(nuisances @ nuisances.mT, hermitian=True)
     shared = rows @ nuisances.mT
-    found = rows @ rows.mT - shared @ inverse @ shared.mT
-    return np.asarray(found.sum(dim=0).numpy())
+    information = rows @ rows.mT - shared @ inverse @ shared.mT
+    return np.asarray(information.sum(dim=0).numpy())

@@ -124,7 +124,9 @@ def _printable(words: str) -> str:
 
 
 def _with_problems(result: TripCheck, problems: Iterable[str]) -> TripCheck:
-    shown = tuple(without(result.manifest, with_values(one, _printable)) for one in problems)
+    shown = tuple(
+        without(result.manifest, with_values(problem, _printable)) for problem in problems
+    )
     return replace(result, state=PROBLEM, problems=shown)
 
 
@@ -145,8 +147,8 @@ def _described(path: Path, manifest: TripManifest) -> TripCheck:
             ("pairs" if len(pairs) == len(CHANNELS) else single, together(others, ", "))
         ),
         sources=tuple(
-            f"{manifest.file_of(one).resolve()}: {one.column or ''}"
-            for one in manifest.sensors().values()
+            f"{manifest.file_of(sensor).resolve()}: {sensor.column or ''}"
+            for sensor in manifest.sensors().values()
         ),
     )
 
@@ -259,28 +261,29 @@ def _at_steady_speeds(
         return _with_remarks(result, nothing, state=TOO_LITTLE), [every]
     speeds = segment_speeds(recording, segments)
     tolerance, least = settings.speed_tolerance, settings.min_speed_m_per_s
+    # group, average and judge as the evaluation does, so that both agree on what is enough
     groups = groups_to_read(speeds, tolerance, least, at_any_speed=at_any_speed)
     seen = [
-        one
-        for one in steady(segments, speeds, groups, estimate, settings)
-        if one.spectra is not None
+        part
+        for part in steady(segments, speeds, groups, estimate, settings)
+        if part.spectra is not None
     ]
-    enough = [one for one in seen if one.has_enough]
-    certain = [one for one in enough if one.is_certain]
+    enough = [part for part in seen if part.has_enough]
+    certain = [part for part in enough if part.is_certain]
     # the reason why there is too little, or which of the speeds are not certain enough
     if enough:
         remark = together(
             Finding(
                 "responses-uncertain-at",
-                speed_m_per_s=one.speed[0],
-                deviation_percent=100 * one.deviation,
+                speed_m_per_s=part.speed[0],
+                deviation_percent=100 * part.deviation,
                 max_deviation=100 * settings.max_deviation,
             )
-            for one in enough
-            if not one.is_certain
+            for part in enough
+            if not part.is_certain
         )
     else:
-        most = max(seen, key=lambda one: one.n_averages, default=None)
+        most = max(seen, key=lambda part: part.n_averages, default=None)
         n_most = int(most.chosen.sum()) if most else 0
         remark = Finding(
             "too-little-at" if most else "too-little-steady",
@@ -290,18 +293,18 @@ def _at_steady_speeds(
             least=least,
         )
     parts = [
-        SteadyPart(one.speed[0], one.n_averages, p, s, 100 * one.deviation)
-        for one in certain
-        for p, s in [one.coherences]
+        SteadyPart(part.speed[0], part.n_averages, p, s, 100 * part.deviation)
+        for part in certain
+        for p, s in [part.coherences]
     ]
     result = _with_remarks(
         result,
         remark,
         state=READY if certain else TOO_LITTLE,
         parts=tuple(parts),
-        steady_percent=100 * sum(int(one.chosen.sum()) for one in certain) / n_segments,
+        steady_percent=100 * sum(int(part.chosen.sum()) for part in certain) / n_segments,
     )
-    return result, [one.chosen for one in certain or seen[:1]] or [every]
+    return result, [part.chosen for part in certain or seen[:1]] or [every]
 
 
 def _of_parts(

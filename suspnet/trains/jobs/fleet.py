@@ -136,10 +136,10 @@ def evaluate_fleet(
             done.append(_report(suspension, settings, store, seed, figures))
     if is_alone:
         return done
-    if all(one.error for one in done):
-        reasons = together(of(one.name, one.error) for one in done)
+    if all(result.error for result in done):
+        reasons = together(of(result.name, result.error) for result in done)
         raise ValueError(at(folder, "no-suspension-read", n_done=len(done), reasons=reasons))
-    done.sort(key=lambda one: (-one.severity, one.name))
+    done.sort(key=lambda result: (-result.severity, result.name))
     log.info("%s\n-> %s", write_overview(done, output), output)
     return done
 
@@ -191,7 +191,7 @@ def _suspension(
     limits = settings.limits_of(fitting)
     finished = FinishedTrips(output, fitting, settings.trips)
     suspension = _Suspension(group, fitting, output, limits, finished)
-    for file in [one.absolute() for one in group.manifests]:
+    for file in [manifest.absolute() for manifest in group.manifests]:
         try:
             made_from = finished.made_from(file)
             result = finished.read(made_from)
@@ -261,8 +261,8 @@ def _evaluated(
     One pool of workers reads all: started for each suspension, it would start over and over, and
     wait for the last trip of each.
     """
-    owners = {file: one for one in suspensions for file in one.waiting}
-    n_finished = sum(len(one.results) for one in suspensions)
+    owners = {file: suspension for suspension in suspensions for file in suspension.waiting}
+    n_finished = sum(len(suspension.results) for suspension in suspensions)
     n_places = len(suspensions)
     where = f"{suspensions[0].group.place}" if n_places == 1 else f"{n_places} suspensions"
     n_trips = n_finished + len(owners)
@@ -274,8 +274,8 @@ def _evaluated(
         if n_finished and owners:
             words = "%d trips are finished already, %d are to be read"
             log.info(words, n_finished, len(owners))
-        yield from (one for one in suspensions if not one.waiting)
-        items = [(file, one.models) for file, one in owners.items()]
+        yield from (suspension for suspension in suspensions if not suspension.waiting)
+        items = [(file, suspension.models) for file, suspension in owners.items()]
         read = functools.partial(_read_trip, settings=settings.trips)
         for (file, _), result in each(read, items, workers_for(len(items), settings.workers)):
             suspension = owners[file]

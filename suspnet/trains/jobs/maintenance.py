@@ -34,8 +34,8 @@ def write_maintenance(history: History, folder: Path, settings: BoardSettings) -
     fleet = history.series()
     if not fleet:
         raise ValueError(f"{history}: no trip is stored here yet")
-    own = {series.vehicle: settings.limits_of(series.vehicle) for series in fleet}
-    states = fleet_state(fleet, own, settings.changes, settings.seed)
+    limits = {series.vehicle: settings.limits_of(series.vehicle) for series in fleet}
+    states = fleet_state(fleet, limits, settings.changes, settings.seed)
     history.keep_all_alarms({state.key: state.watched.alarms for state in states})
     acknowledged = history.all_acknowledgements()
     planned = plan_of(states, settings.plan, settings.day())

@@ -134,11 +134,11 @@ def find_changes(
     columns = {"values": values, "covariates": covariates, "widths": widths, "usable": marks}
     if not values or km.ndim != 1:
         raise ValueError("`values` must have one parameter at least, `mileage_km` one dimension")
-    for what, several in columns.items():
+    for kind, several in columns.items():
         for name, column in several.items():
             if np.shape(column) != km.shape:
                 raise ValueError(
-                    f"`{what}` must have {len(km)} trips each, got {np.shape(column)} for {name}"
+                    f"`{kind}` must have {len(km)} trips each, got {np.shape(column)} for {name}"
                 )
     if (np.diff(km[np.isfinite(km)]) < 0).any():
         raise ValueError("`mileage_km` must ascend")
@@ -282,7 +282,7 @@ def _covariates(
 
     Values are standardised by the reference, (n_trips, n_covariates).
     """
-    kept, columns, has_all = [], [np.ones(len(trips))], np.ones(len(trips), dtype=bool)
+    names, columns, has_all = [], [np.ones(len(trips))], np.ones(len(trips), dtype=bool)
     for name, values in values_of.items():
         column = np.asarray(values, dtype=float)[trips]
         is_known = np.abs(column) < LARGEST  # False for NaN
@@ -295,11 +295,11 @@ def _covariates(
         others = np.stack(columns, axis=-1)[:needed]
         fit = np.linalg.lstsq(others, column[:needed], rcond=None)[0]
         if (column[:needed] - others @ fit).std() > VARIES:
-            kept.append(name)
+            names.append(name)
             columns.append(column)
             has_all &= is_known
-    used = np.stack(columns[1:], axis=-1) if kept else np.empty((len(trips), 0))
-    return tuple(kept), used, has_all
+    used = np.stack(columns[1:], axis=-1) if names else np.empty((len(trips), 0))
+    return tuple(names), used, has_all
 
 
 def _relative_widths(widths: ArrayLike | None, trips: IntArray, needed: int) -> FloatArray:

@@ -100,26 +100,26 @@ def residuals(
     check_number("n_reference", n_reference, low=max(8, n_covariates + 4), whole=True)
     centred = values - values[:n_reference].mean(axis=0)
     rows = np.concatenate([np.ones((*values.shape, 1)), covariates, centred[..., None]], axis=-1)
-    kept = np.ones(values.shape, dtype=bool)
-    # z of a trip depends on `kept` of trips at least DELAY older: each pass settles DELAY more
+    in_reference = np.ones(values.shape, dtype=bool)
+    # which trips join depends on the z of trips at least DELAY older: each pass settles DELAY more
     for _ in range(len(values) // DELAY + 2):
-        rest = _compare(rows, kept, n_reference)
-        if (rest.usual == kept[n_reference:]).all():
+        rest = _compare(rows, in_reference, n_reference)
+        if (rest.usual == in_reference[n_reference:]).all():
             break
-        kept[n_reference:] = rest.usual
+        in_reference[n_reference:] = rest.usual
     return rest
 
 
-def _compare(rows: FloatArray, kept: BoolArray, n_reference: int) -> Residuals:
-    """Return the residuals of rows (x, y), (n_trips, ..., n_x + 1), against `kept` ones."""
+def _compare(rows: FloatArray, in_reference: BoolArray, n_reference: int) -> Residuals:
+    """Return the residuals of rows (x, y), (n_trips, ..., n_x + 1), against the reference."""
     # all references are prefixes of the history: their moments are differences of cumulative sums
-    used = rows * kept[..., None]
+    used = rows * in_reference[..., None]
     squares = np.cumsum(_outer(used, used), axis=0)
     products = np.cumsum(_outer(used[1:], used[:-1]), axis=0)
     now = np.arange(n_reference, len(rows))
     j = np.maximum(n_reference, now - DELAY)
     ends, where = np.unique(j, return_inverse=True)
-    size = np.cumsum(kept, axis=0)[ends - 1].astype(float)
+    size = np.cumsum(in_reference, axis=0)[ends - 1].astype(float)
     first, last = _outer(used[:1], used[:1]), _outer(used[ends - 1], used[ends - 1])
     squares, products = squares[ends - 1], products[ends - 2]
     least = size * LEAST_SPREAD**2

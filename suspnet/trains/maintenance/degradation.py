@@ -175,15 +175,15 @@ class Motion:
         Those of the blocks with the state, (n_starts, n_blocks, 3), and those of the state itself,
         (n_starts, 3, 3).
         """
-        own, of_blocks = np.zeros((last.size, 3, 3)), np.zeros((*since.shape, 3))
+        of_last, of_blocks = np.zeros((last.size, 3, 3)), np.zeros((*since.shape, 3))
         if not self.integrated:
-            own[:, 0, 0], of_blocks[..., 0] = last, since
-            return of_blocks, own
-        own[:, 0, 0], own[:, 2, 2] = last**3 / 3, last
-        own[:, 0, 2] = own[:, 2, 0] = last**2 / 2
+            of_last[:, 0, 0], of_blocks[..., 0] = last, since
+            return of_blocks, of_last
+        of_last[:, 0, 0], of_last[:, 2, 2] = last**3 / 3, last
+        of_last[:, 0, 2] = of_last[:, 2, 0] = last**2 / 2
         of_blocks[..., 0] = since**2 * (3 * last[:, None] - since) / 6
         of_blocks[..., 2] = since**2 / 2
-        return of_blocks, own
+        return of_blocks, of_last
 
 
 @dataclass(frozen=True)
@@ -256,9 +256,9 @@ class Fit:
             variances = motion.variances[:, None, None, None]
             shape = motion.covariance(since, blocks.length) / np.outer(scale, scale)
             total = total + variances * shape
-            with_last, own = motion.with_last(since, blocks.last - start)
+            with_last, of_last = motion.with_last(since, blocks.last - start)
             self._with_last = variances * with_last / scale[:, None]
-            self._own = variances * own
+            self._own = variances * of_last
         try:  # a covariance that averaging has made indefinite is repaired
             factor = np.linalg.cholesky(total)
         except np.linalg.LinAlgError:

@@ -46,11 +46,12 @@ def widened(
     """
     wide = {name: column.copy() for name, column in half_widths.items()}
     for since_km in np.unique(healthy_since_km):
-        own = (healthy_since_km == since_km) | (np.isnan(healthy_since_km) & np.isnan(since_km))
-        pairs = opposite_pairs(np.where(own, signs, 0), states)
+        both_unknown = np.isnan(healthy_since_km) & np.isnan(since_km)
+        is_of_era = (healthy_since_km == since_km) | both_unknown
+        pairs = opposite_pairs(np.where(is_of_era, signs, 0), states)
         for name, half in half_widths.items() if len(pairs) >= LEAST_PAIRS else ():
             errors = direction_errors(pairs, signs, estimates[name], half)
-            wide[name][own] = np.hypot(half, Z * errors)[own]
+            wide[name][is_of_era] = np.hypot(half, Z * errors)[is_of_era]
     return wide
 
 

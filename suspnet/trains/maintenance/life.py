@@ -148,8 +148,8 @@ def predict_life(
     weights = shares(fits)
     ends = np.cumsum([0, *(weight.size for weight in weights)])
     places = (np.arange(N_SAMPLES) + rng.random(N_SAMPLES)) / N_SAMPLES  # stratified
-    drawn = np.searchsorted(np.cumsum(np.concatenate(weights)), places)
-    node, draw = np.unique(np.minimum(drawn, ends[-1] - 1), return_inverse=True)
+    indices = np.searchsorted(np.cumsum(np.concatenate(weights)), places)
+    node, draw = np.unique(np.minimum(indices, ends[-1] - 1), return_inverse=True)
     states = [
         fit.now(node[(node >= begin) & (node < end)] - begin)
         for fit, begin, end in zip(fits, ends[:-1], ends[1:], strict=True)
@@ -174,13 +174,13 @@ def _checked_series(
         raise ValueError("`values` must be above 0 and finite, or NaN where there is no estimate")
     if np.isinf(half).any() or (half < 0).any():
         raise ValueError("`half_widths` must be at least 0 and finite, or NaN where there is none")
-    kept = np.isfinite(value)
-    if kept.sum() < MIN_TRIPS or km[kept][-1] == km[kept][0]:
+    has_estimate = np.isfinite(value)
+    if has_estimate.sum() < MIN_TRIPS or km[has_estimate][-1] == km[has_estimate][0]:
         raise ValueError(
             f"a life needs at least {MIN_TRIPS} trips with an estimate, at different mileages, "
-            f"got {kept.sum()}"
+            f"got {has_estimate.sum()}"
         )
-    return km[kept], value[kept], half[kept]
+    return km[has_estimate], value[has_estimate], half[has_estimate]
 
 
 def draw_lives_km(

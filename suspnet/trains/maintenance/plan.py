@@ -297,18 +297,20 @@ def make_plan(
     visits: list[Visit] = []
     unknown: list[Job] = []
     n_quiet = 0
-    for name, own in sorted(of_train.items()):
+    for name, parts_of_train in sorted(of_train.items()):
         calendar = _Calendar(named[name], settings, today)
-        due = [(calendar.due_day(part), part) for part in map(calendar.as_known, own)]
+        due = [(calendar.due_day(part), part) for part in map(calendar.as_known, parts_of_train)]
         rest = [part for days, part in due if days >= settings.horizon_days]
         unknown += [calendar.job(part, UNKNOWN, 0.0) for part in rest if part.unknown]
         n_quiet += sum(not part.unknown for part in rest)
-        left = [pair for pair in due if pair[0] < settings.horizon_days]
-        while left:  # ends: the part that is due first is taken off
-            day = min(days for days, _ in left)
+        remaining = [pair for pair in due if pair[0] < settings.horizon_days]
+        while remaining:  # ends: the part that is due first is taken off
+            day = min(days for days, _ in remaining)
             last = day + settings.bundle_days
-            visits.append(calendar.visit(int(day), [part for days, part in left if days <= last]))
-            left = [pair for pair in left if pair[0] > last]
+            visits.append(
+                calendar.visit(int(day), [part for days, part in remaining if days <= last])
+            )
+            remaining = [pair for pair in remaining if pair[0] > last]
 
     # what is not known first, then what is soonest or likeliest
     unknown.sort(key=lambda job: job.part.place)

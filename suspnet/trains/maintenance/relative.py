@@ -48,8 +48,8 @@ def relative_to_first_healthy(
     factors = {state.since_km: state.relative for state in commissionings}
 
     def times(values: Mapping[str, float], since_km: float) -> dict[str, float]:
-        own = factors.get(since_km, {})
-        return {name: value * own.get(name, 1.0) for name, value in values.items()}
+        of_healthy = factors.get(since_km, {})
+        return {name: value * of_healthy.get(name, 1.0) for name, value in values.items()}
 
     return [
         replace(

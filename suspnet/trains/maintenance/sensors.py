@@ -89,8 +89,11 @@ def sensor_trends(
     since = {name: _eras(name, names, mileage_km, replaced) for name in names}
     health = {name: [trip.get(name, SensorHealth()) for trip in trips] for name in names}
     values = {
-        name: {n: np.array([getattr(one, n) for one in own], dtype=float) for n in (*LEAST, "tilt")}
-        for name, own in health.items()
+        name: {
+            n: np.array([getattr(state, n) for state in states], dtype=float)
+            for n in (*LEAST, "tilt")
+        }
+        for name, states in health.items()
     }
     # each number against the sensor's own first trips
     changes: dict[str, Numbers] = {name: {} for name in names}
@@ -117,8 +120,12 @@ def _eras(
     name: str, names: Sequence[str], km: FloatArray, replaced: Sequence[tuple[float, str]]
 ) -> IntArray:
     """Return how often a sensor had been replaced before each trip, (n_trips,)."""
-    own = [at for at, words in replaced if name in words or not any(n in words for n in names)]
-    return np.asarray(np.searchsorted(np.sort(own), np.nan_to_num(km, nan=np.inf), side="right"))
+    replaced_km = [
+        at for at, words in replaced if name in words or not any(n in words for n in names)
+    ]
+    return np.asarray(
+        np.searchsorted(np.sort(replaced_km), np.nan_to_num(km, nan=np.inf), side="right")
+    )
 
 
 def _of_first(
@@ -133,17 +140,17 @@ def _of_first(
     return numbers
 
 
-def _subtract_common(own: Sequence[Numbers], number: str) -> None:
+def _subtract_common(sensors: Sequence[Numbers], number: str) -> None:
     """Subtract the median over some sensors from their changes; of noise only a common rise."""
-    if len(own) < 2:
+    if len(sensors) < 2:
         return
-    rows = np.stack([changes[number] for changes in own])
+    rows = np.stack([changes[number] for changes in sensors])
     has_any = np.isfinite(rows).any(axis=0)
     common = np.zeros(rows.shape[1])
     common[has_any] = np.nanmedian(rows[:, has_any], axis=0)
     if number == "noise":
         common = np.maximum(common, 0)
-    for changes in own:
+    for changes in sensors:
         changes[number] = changes[number] - common
 
 

@@ -166,12 +166,12 @@ class Series:
         return all(_same(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
 
 
-def _same(one: Any, other: Any) -> bool:
-    if isinstance(one, dict):
-        return one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
-    if isinstance(one, np.ndarray):
-        return np.array_equal(one, other, equal_nan=one.dtype.kind in "fM")
-    return bool(one == other)
+def _same(value: Any, other: Any) -> bool:
+    if isinstance(value, dict):
+        return value.keys() == other.keys() and all(_same(value[key], other[key]) for key in value)
+    if isinstance(value, np.ndarray):
+        return np.array_equal(value, other, equal_nan=value.dtype.kind in "fM")
+    return bool(value == other)
 
 
 def make_series(

@@ -135,26 +135,26 @@ class Board:
     def _read(self, history: History, revisions: dict[Key, int], changed: list[Key]) -> None:
         changed.sort(key=lambda key: (key[0], str(key[1])))
         series = [  # in parts: an SQLite file cannot be written while it is read
-            own
+            entry
             for begin in range(0, len(changed), READ_AT_ONCE)
-            for own in history.series(changed[begin : begin + READ_AT_ONCE])
+            for entry in history.series(changed[begin : begin + READ_AT_ONCE])
         ]
-        for vehicle in {own.vehicle for own in series} - self._limits.keys():
+        for vehicle in {entry.vehicle for entry in series} - self._limits.keys():
             try:
                 self._limits[vehicle] = self.settings.limits_of(vehicle)
             except ValueError as error:  # of a vehicle that is not in the settings
                 raise HistoryError(f"{history}: vehicle {vehicle}: {error}") from None
-        new = [own for own in series if own.key not in self._revisions]
+        new = [entry for entry in series if entry.key not in self._revisions]
         # read also for few: rows of alarms that cannot be read are shown
         alarms = history.all_alarms() if new or self._view.bad_rows else {}
         if len(new) > AT_ONCE:
             early = [
-                State(own, self._limits[own.vehicle], Watched(alarms.get(own.key, [])))
-                for own in new
+                State(entry, self._limits[entry.vehicle], Watched(alarms.get(entry.key, [])))
+                for entry in new
             ]
             self._show(history, early, is_complete=False)
         gone = self._fleet.keys() - revisions.keys()
-        gone |= set(changed) - {own.key for own in series}
+        gone |= set(changed) - {entry.key for entry in series}
         self._is_due |= bool(gone | self._fleet.update(series, gone))
         self._revisions = revisions
 

@@ -102,11 +102,11 @@ def bogies_shown(
     `entries` are the place, the name in URLs and the state of each. The values are "bogies", each
     with its place and name, and "n_bogies", the number of bogies whose parts are read.
     """
-    read = [entry for entry in entries if set(BOGIE_PARTS) & set(entry[2].outputs)]
-    worst = sorted(read, key=lambda entry: -entry[2].severity)[:MAX_BOGIES]
+    with_parts = [entry for entry in entries if set(BOGIE_PARTS) & set(entry[2].outputs)]
+    worst = sorted(with_parts, key=lambda entry: -entry[2].severity)[:MAX_BOGIES]
     return {
         "bogies": [(where, name, bogie_of(state, plan)) for where, name, state in worst],
-        "n_bogies": len(read),
+        "n_bogies": len(with_parts),
     }
 
 

@@ -141,8 +141,8 @@ def with_distinct_names(checks: Sequence[TripCheck]) -> list[TripCheck]:
         folders.setdefault(check.name, []).append(check.manifest.absolute().parent)
     named = []
     for check in checks:
-        if len(own := folders[check.name]) > 1:
-            below = check.manifest.absolute().parent.relative_to(os.path.commonpath(own))
+        if len(same_name := folders[check.name]) > 1:
+            below = check.manifest.absolute().parent.relative_to(os.path.commonpath(same_name))
             check = replace(check, label=printable((below / check.name).as_posix()))
         named.append(check)
     return named
@@ -156,7 +156,7 @@ def with_shared_data(checks: Sequence[TripCheck]) -> list[TripCheck]:
     owners: dict[str, str] = {}
     remarked = []
     for check in checks:
-        if others := dict.fromkeys(owners[one] for one in check.sources if one in owners):
+        if others := dict.fromkeys(owners[source] for source in check.sources if source in owners):
             remark = Finding("same-data", others=together(list(others)[:LISTED], ", "))
             check = replace(check, remarks=(*check.remarks, remark))
         remarked.append(check)
@@ -202,7 +202,9 @@ def train_words(checks: Iterable[TripCheck]) -> list[str]:
     """Return a sentence on each vehicle with several suspensions whose manifests name no train."""
     return [
         at(vehicle, "suspensions-without-train", n_several=len(several))
-        for vehicle, several in lone_trains((one.vehicle, one.place) for one in checks).items()
+        for vehicle, several in lone_trains(
+            (check.vehicle, check.place) for check in checks
+        ).items()
         if vehicle
     ]
 
@@ -317,8 +319,8 @@ def write_checks(checks: Sequence[TripCheck], elsewhere: Sequence[str], output: 
         trains=train_words(checks),
         checks=checks,
         findings=[
-            [s for s in check.remarks if s not in own]
-            for check, own in zip(checks, on_files, strict=True)
+            [s for s in check.remarks if s not in of_file]
+            for check, of_file in zip(checks, on_files, strict=True)
         ],
         read_as=[words for words, _ in _by_words(zip(names, on_files, strict=True))],
         tones=TONES,

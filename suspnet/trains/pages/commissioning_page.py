@@ -54,12 +54,12 @@ def write_outcome(
 
     If each part is read, they are of the `bogie`, and the vehicle has its numbers.
     """
-    drawn = None
+    figure = None
     if healthy.groups:
-        drawn = responses(healthy, outcome)
-        write_atomically(folder / "figures" / f"{NAME}_responses.png", as_png(drawn))
+        figure = responses(healthy, outcome)
+        write_atomically(folder / "figures" / f"{NAME}_responses.png", as_png(figure))
     write_json(folder / f"{NAME}.json", as_json(healthy, outcome, bogie))
-    values = _page_values(healthy, outcome, drawn, bogie)
+    values = _page_values(healthy, outcome, figure, bogie)
     path = write_page(folder / f"{NAME}.html", "commissioning.html", **values)
     log.info("-> %s", path)
 
@@ -112,7 +112,7 @@ def as_json(
 def _page_values(
     healthy: HealthyTrips,
     outcome: Commissioned,
-    drawn: Figure | None,
+    figure: Figure | None,
     bogie: CommissionedBogie | None = None,
 ) -> dict[str, Any]:
     if bogie is None:
@@ -154,11 +154,11 @@ def _page_values(
         "doubts": doubts,
         "agreement": "" if doubts else calm,
         "reference": words.reference(outcome),
-        "figure": drawn
+        "figure": figure
         and {
             "heading": gettext(HEADING),
             "explanation": gettext(EXPLANATION),
-            "image": data_uri(drawn),
+            "image": data_uri(figure),
         },
         "groups": groups,
         "untold": words.untold(numbers),
@@ -180,13 +180,13 @@ def _trips(healthy: HealthyTrips, outcome: Commissioned) -> list[dict[str, Any]]
     """Return what page and JSON show of each trip."""
     rows = []
     for i, manifest in enumerate(healthy.manifests):
-        read: list[tuple[Any, float | None]] = [
+        stretches: list[tuple[Any, float | None]] = [
             (group, misfit)
             for group, misfit in zip(healthy.groups, outcome.misfits, strict=True)
             if group.trip == i
         ]
         if not healthy.groups:  # these trips show their parts only
-            read = [(healthy.of_parts[i], None)]
+            stretches = [(healthy.of_parts[i], None)]
         ratio = float(outcome.masses[i])
         rows.append(
             {
@@ -201,7 +201,7 @@ def _trips(healthy: HealthyTrips, outcome: Commissioned) -> list[dict[str, Any]]
                         "n_averages": group.spectra.n_averages,
                         "misfit": misfit,
                     }
-                    for group, misfit in read
+                    for group, misfit in stretches
                 ],
             }
         )
@@ -213,15 +213,15 @@ def residuals(outcome: Commissioned) -> FloatArray:
 
     The shape is (n_groups, 2, n_freq); 1 is expected, NaN is a bin that is not used.
     """
-    left = np.abs(1 - outcome.fitted / outcome.observed) / (np.sqrt(2) * outcome.deviations)
-    return np.where(np.isfinite(outcome.deviations), left, np.nan)
+    ratios = np.abs(1 - outcome.fitted / outcome.observed) / (np.sqrt(2) * outcome.deviations)
+    return np.where(np.isfinite(outcome.deviations), ratios, np.nan)
 
 
 def responses(healthy: HealthyTrips, outcome: Commissioned) -> Figure:
     """Draw measured, nominal and commissioned responses of a trip, and all residuals."""
     group = int(np.argmin(np.median(outcome.deviations, axis=(1, 2))))  # with the least noise
     measured = healthy.groups[group]
-    frequencies_hz, left = outcome.frequencies_hz, residuals(outcome)
+    frequencies_hz, of_groups = outcome.frequencies_hz, residuals(outcome)
     figure = Figure(figsize=(9.0, 6.4), layout="constrained")
     axes = figure.subplots(2, 2, sharex=True, sharey="row", height_ratios=(3, 2))
     km, km_per_h = healthy.manifests[measured.trip].mileage_km, 3.6 * measured.speed_m_per_s
@@ -239,7 +239,7 @@ def responses(healthy: HealthyTrips, outcome: Commissioned) -> Figure:
         magnitude.fill_between(frequencies_hz, *ends, **style)
         for values, label, style in curves:
             magnitude.semilogy(frequencies_hz, np.abs(values[group, link]), label=label, **style)
-        _residuals(below, frequencies_hz, left[:, link])
+        _residuals(below, frequencies_hz, of_groups[:, link])
     for axis in axes.flat:
         axis.margins(x=0)
         axis.grid(True, which="both", alpha=0.3)
@@ -250,16 +250,16 @@ def responses(healthy: HealthyTrips, outcome: Commissioned) -> Figure:
     return figure
 
 
-def _residuals(axis: Axes, frequencies_hz: FloatArray, left: FloatArray) -> None:
+def _residuals(axis: Axes, frequencies_hz: FloatArray, of_groups: FloatArray) -> None:
     """Draw the residual of each group as a thin line, and the rms of all groups."""
-    is_used = np.isfinite(left)
+    is_used = np.isfinite(of_groups)
     if not is_used.any():
         say(axis, "no bin can be used", keep_x=True)
         return
-    for residual in left:
+    for residual in of_groups:
         axis.plot(frequencies_hz, residual, color="0.75", lw=0.5)
     count = is_used.sum(axis=0)
-    total = np.where(is_used, left, 0.0) ** 2
+    total = np.where(is_used, of_groups, 0.0) ** 2
     rms = np.sqrt(total.sum(axis=0) / np.where(count, count, np.nan))
     axis.plot(frequencies_hz, rms, color=FITTED, lw=1.2, label="rms of all")
     axis.axhline(1, color="black", lw=0.8, ls=":")

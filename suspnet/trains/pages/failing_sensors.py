@@ -41,7 +41,7 @@ def failing_sensors(results: Sequence[TripResult]) -> dict[str, list[str]]:
     """
     trips: dict[str, list[str]] = {}
     for result in results:
-        own = _failing(result)
+        failing = _failing(result)
         # a sensor whose faults would break a trip up is left out of its parts alone
         left_out = {
             name: at(name, "not-used-for-parts")
@@ -49,7 +49,7 @@ def failing_sensors(results: Sequence[TripResult]) -> dict[str, list[str]]:
             if kind_is(warning, WITHOUT_SENSORS)
             for name in warning.values["names"]
         }
-        for words in (left_out | own).values():
+        for words in (left_out | failing).values():
             trips.setdefault(words, []).append(result.trip)
     return trips
 

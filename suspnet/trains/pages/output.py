@@ -51,8 +51,8 @@ COVERAGE_PERCENT = "intervals hold %"
 def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
     """Return a table of all trips, errors where the truth is known, and all reasons and flags."""
     of_parts = [name for name in outputs if name in BOGIE_PARTS]
-    read = {name for result in results for name in result.estimates}
-    columns = [name for name in outputs if name in read and name not in BOGIE_PARTS]
+    estimated = {name for result in results for name in result.estimates}
+    columns = [name for name in outputs if name in estimated and name not in BOGIE_PARTS]
     rows: list[dict[str, Any]] = []
     for r in results:
         row = {"trip": r.trip, "1000 km": r.mileage_km / 1000}
@@ -85,14 +85,14 @@ def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
 
 def _part_table(results: Sequence[TripResult], parts: Sequence[str]) -> str:
     """Return a row for each part: first and newest trip [%], and errors where truth is known."""
-    errors, held = errors_percent(results, parts), coverage_percent(results, parts)
+    errors, coverage = errors_percent(results, parts), coverage_percent(results, parts)
     rows = []
     for name in parts:
         done = [r for r in results if name in r.estimates]
         low, high = (100 * end for end in done[-1].interval(name))
         ends = [100 * r.estimates[name] for r in (done[0], done[-1])]
         interval = Finding("span-of-ratios", low=low, high=high)
-        rows.append([name, *ends, interval, errors.get(name), held.get(name)])
+        rows.append([name, *ends, interval, errors.get(name), coverage.get(name)])
     header = ["part", "first %", "newest %", "interval %", KNOWN_ERROR_PERCENT, COVERAGE_PERCENT]
     shown = [i for i in range(len(header)) if any(row[i] is not None for row in rows)]
     cells, names = [[row[i] for i in shown] for row in rows], [header[i] for i in shown]
@@ -145,9 +145,11 @@ def coverage_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> d
     coverage = {}
     for name in outputs:
         ends = [(*r.interval(name), r.truth[name]) for r in results if name in r.truth]
-        held = [low <= truth <= high for low, high, truth in ends if np.isfinite([low, high]).all()]
-        if held:
-            coverage[name] = 100 * float(np.mean(held))
+        is_covered = [
+            low <= truth <= high for low, high, truth in ends if np.isfinite([low, high]).all()
+        ]
+        if is_covered:
+            coverage[name] = 100 * float(np.mean(is_covered))
     return coverage
 
 
@@ -181,24 +183,24 @@ def write_pages(report: Report, output: Path, *, draw: bool = True) -> None:
     results, outputs = report.results, report.outputs
     done = [r for r in results if r.status == OK]
     # where parts are read, each has a figure of its own in place of the common trend
-    drawn, small = {}, {}
+    figures, small = {}, {}
     if draw:
         relative = relative_to_first_healthy(results, report.commissionings)
         trend = trend_of_trips(relative, report.state, outputs, report.level, report.commissionings)
         small = small_trends(trend)
         has_parts = bool(set(outputs) & set(BOGIE_PARTS))
-        drawn = {} if has_parts else {"trend": health_trend(trend)}
-        drawn |= {
+        figures = {} if has_parts else {"trend": health_trend(trend)}
+        figures |= {
             "responses": trip_figures.trip_responses(results),
             "signals": trip_figures.trip_signals(done[-1] if done else results[-1]),
         }
     named = {f"trend_{name}": figure for name, figure in small.items()}
-    for name, figure in (drawn | named).items():
+    for name, figure in (figures | named).items():
         write_atomically(output / "figures" / f"{name}.png", as_png(figure))
     # NumPy's numbers become plain ones on the way through JSON
     metrics = json.loads(json.dumps(_metrics(report), default=float))
     write_json(output / "metrics.json", metrics)
-    write_report(output / REPORT, gettext("Suspension report"), report, drawn, small)
+    write_report(output / REPORT, gettext("Suspension report"), report, figures, small)
 
 
 def _metrics(report: Report) -> dict[str, Any]:
@@ -216,10 +218,18 @@ def _metrics(report: Report) -> dict[str, Any]:
             name: state.limits[name].to_dict() for name in report.outputs if name in state.limits
         },
         "trends": [
-            asdict(own.trend)
-            | {"changed": own.trend.changed, "severity": str(own.severity), "words": own.words}
-            | {"now": own.now, "life": _life_row(own.life), "unknown_life": own.unknown_life}
-            for own in state.assessments
+            asdict(assessment.trend)
+            | {
+                "changed": assessment.trend.changed,
+                "severity": str(assessment.severity),
+                "words": assessment.words,
+            }
+            | {
+                "now": assessment.now,
+                "life": _life_row(assessment.life),
+                "unknown_life": assessment.unknown_life,
+            }
+            for assessment in state.assessments
         ],
         "commissionings": [asdict(commissioning) for commissioning in report.commissionings],
         "maintenance": [asdict(event) for event in state.series.events],
@@ -235,7 +245,9 @@ def write_overview(done: Sequence[Evaluated], output: Path) -> str:
     """
     rows = [suspension.row() for suspension in done]
     entries = [
-        (str(own.place), f"{own.name}/{REPORT}", own.state) for own in done if own.state is not None
+        (str(suspension.place), f"{suspension.name}/{REPORT}", suspension.state)
+        for suspension in done
+        if suspension.state is not None
     ]
     linked = [
         row | ({"address": quote(row["report"])} if row["report"] else {})

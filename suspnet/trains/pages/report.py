@@ -183,9 +183,9 @@ def named_first(assessments: Sequence[Assessment], trips: Sequence[TripResult]) 
     if severity < Severity.NOTICE:
         return ""
     names = [
-        part_words(own.parameter)
-        for own in assessments
-        if own.severity == severity and own.parameter != BODY_MASS
+        part_words(assessment.parameter)
+        for assessment in assessments
+        if assessment.severity == severity and assessment.parameter != BODY_MASS
     ]
     text = f"{gettext(SEVERITIES[severity][1])}: " + "; ".join(map(spoken, names[:NAMED]))
     if len(names) > NAMED:

@@ -190,8 +190,8 @@ def _axis(
     trips widen it by up to its span on each side, intervals by up to half of that.
     """
     clear = np.ones(len(values), dtype=bool) if flagged.all() else ~flagged
-    kept = np.append(values[clear], running_median(values)[1:-1])
-    base = np.concatenate([[100.0, act], np.minimum(kept, 100 * ABSURD)])
+    levels = np.append(values[clear], running_median(values)[1:-1])
+    base = np.concatenate([[100.0, act], np.minimum(levels, 100 * ABSURD)])
     low, high = np.nanmin(base), np.nanmax(base)
     span = max(high - low, LEAST_SPAN_PERCENT)
     near = values[(values >= low - span) & (values <= high + span)]

@@ -197,7 +197,7 @@ class Assembler:
         at = state["at"]
         self.first_ns, self._end_ns, self.n_samples, self._n_far, self._next = at
         self._lost = deque(((low, high) for low, high in state["lost"]), maxlen=MOST_LOSSES)
-        held, ends = state["held"].tobytes(), np.cumsum([0, *state["sizes"]])
-        frames = [decode(held[start:end]) for start, end in pairwise(ends)]
+        data, ends = state["held"].tobytes(), np.cumsum([0, *state["sizes"]])
+        frames = [decode(data[start:end]) for start, end in pairwise(ends)]
         self._held = {frame.sequence: frame for frame in frames}
         self._n_held = sum(len(frame.samples) for frame in frames)

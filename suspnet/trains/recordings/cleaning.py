@@ -143,10 +143,10 @@ def runs(
         return np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp)
     edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
     starts, stops = edges[::2], edges[1::2]
-    kept = stops - starts >= at_least
+    in_bounds = stops - starts >= at_least
     if at_most is not None:
-        kept &= stops - starts <= at_most
-    return starts[kept], stops[kept]
+        in_bounds &= stops - starts <= at_most
+    return starts[in_bounds], stops[in_bounds]
 
 
 def paint(n_samples: int, starts: IntArray, stops: IntArray) -> BoolArray:

@@ -97,10 +97,10 @@ def compared_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
     They are neighbouring channels, both sides of each, and those of the other axle with the first.
     """
     by_channel = [[name for name in names if channel_of(name) == channel] for channel in CHANNELS]
-    sides = [own for own in by_channel if own]
+    sides = [sensors for sensors in by_channel if sensors]
     elsewhere = [(sides[0][0], name) for name in names if sides and not channel_of(name)]
-    pairs = [(own[0], own[1]) for own in sides if len(own) == 2]
-    return [*pairwise(own[0] for own in sides), *pairs, *elsewhere]
+    pairs = [(sensors[0], sensors[1]) for sensors in sides if len(sensors) == 2]
+    return [*pairwise(sensors[0] for sensors in sides), *pairs, *elsewhere]
 
 
 def _words(manifest: TripManifest, first: str, second: str, drift: Drift) -> tuple[str, float]:
@@ -223,10 +223,10 @@ def _fitted(middles_s: FloatArray, delays_s: FloatArray, classes: IntArray) -> D
 
     Delays depend on the speed, so each speed class has its own mean.
     """
-    kept = classes >= 0
-    # fit anew without the windows that lie far off the fit before
+    is_used = classes >= 0
+    # fit again without the windows that lie far off the fit before
     for _ in range(1 + TRIMS):
-        at = np.flatnonzero(kept)
+        at = np.flatnonzero(is_used)
         if len(at) < LEAST_WINDOWS:
             return None
         _, place, count = np.unique(classes[at], return_inverse=True, return_counts=True)
@@ -246,14 +246,14 @@ def _fitted(middles_s: FloatArray, delays_s: FloatArray, classes: IntArray) -> D
         )
         explained = slopes**2 * power
         best = 1 + int(np.argmax(explained[1:]))
-        left = np.maximum(target @ target - explained[[0, best]], 0.0)
-        is_jump = bool(left[1] < JUMP_SHARE * left[0])
+        misfits = np.maximum(target @ target - explained[[0, best]], 0.0)
+        is_jump = bool(misfits[1] < JUMP_SHARE * misfits[0])
         chosen = best if is_jump else 0
         if not is_determined[chosen]:
             return None
         residuals = target - slopes[chosen] * regressors[:, chosen]
         spread = max(1.4826 * float(np.median(np.abs(residuals))), FINEST_S)
-        kept[at[np.abs(residuals) > 5 * spread]] = False
+        is_used[at[np.abs(residuals) > 5 * spread]] = False
     deviation = spread / math.sqrt(power[chosen])
     seconds = float(middles_s[at[-1]] - middles_s[at[0]])
     jump_at_s = float(middles_s[at[best]] + middles_s[at[best + 1]]) / 2 if is_jump else 0.0

@@ -131,9 +131,9 @@ def slices(
     for start in range(0, n, BLOCK):
         rows = slice(start, min(start + BLOCK, n))
         block = tuple(as_block(takes[name][1](rows)) for name in names)
-        held = [start + len(values) for values in block]
-        if set(held) != {rows.stop}:
-            values = {"n_samples": n, "names": list(names), "held": held}
+        ends = [start + len(values) for values in block]
+        if set(ends) != {rows.stop}:
+            values = {"n_samples": n, "names": list(names), "held": ends}
             raise TripError(Finding("fewer-than-declared", path=path, **values))
         yield block
 

@@ -104,7 +104,7 @@ class Dialect:
         return tuple(remarks)
 
     @property
-    def read(self) -> list[int]:
+    def value_places(self) -> list[int]:
         """Places of the columns of numbers or times."""
         return [i for i, kind in enumerate(self.kinds) if not isinstance(kind, str)]
 
@@ -126,10 +126,10 @@ class Dialect:
 
         The result is empty for lines of another number of cells, or without values.
         """
-        cells, read = self.split(line), self.read
-        if len(cells) != len(self.kinds) or all(cells[i] in _DASHES for i in read):
+        cells, places = self.split(line), self.value_places
+        if len(cells) != len(self.kinds) or all(cells[i] in _DASHES for i in places):
             return []
-        return [cells[i] in MISSING or self.is_value(cells[i], i) for i in read if cells[i]]
+        return [cells[i] in MISSING or self.is_value(cells[i], i) for i in places if cells[i]]
 
     def is_value(self, cell: str, place: int) -> bool:
         """Return whether a cell that is not missing is one of its column's kind."""
@@ -152,14 +152,14 @@ class Dialect:
         cells, n = self.split(COMMENT.sub("", line)), len(self.kinds)
         if len(cells) > n and not any(cells[n:]):
             cells = cells[:n]
-        if not max(self.read) < len(cells) <= n:
+        if not max(self.value_places) < len(cells) <= n:
             return []
         return cells + [""] * (n - len(cells))
 
     def has_numbers(self, cells: Sequence[str]) -> bool:
         """Return whether a line above the rows has a number in a column of numbers."""
-        own = [cells[i] for i, kind in enumerate(self.kinds) if kind is None]
-        return any(cell not in MISSING and NUMBER[self.decimal].fullmatch(cell) for cell in own)
+        numbers = [cells[i] for i, kind in enumerate(self.kinds) if kind is None]
+        return any(cell not in MISSING and NUMBER[self.decimal].fullmatch(cell) for cell in numbers)
 
 
 def find_dialect(path: Path, stated: CsvDialect | None = None) -> Dialect:
@@ -179,7 +179,7 @@ def find_dialect(path: Path, stated: CsvDialect | None = None) -> Dialect:
     if not tables:
         raise _unreadable(path, "no row has as many values as there are names")
     # prefer names, more columns, and a decimal point
-    best = max(tables, key=lambda t: (t.header_line > 0, len(t.read), t.decimal == "."))
+    best = max(tables, key=lambda t: (t.header_line > 0, len(t.value_places), t.decimal == "."))
     # Refuse a file that can be read in two ways rather than guess.
     rivals = [t for t in tables if t.header_line == 0 and len(t.names) != len(best.names)]
     if rivals and not best.header_line and (stated.header_line, stated.delimiter) == (None, None):
@@ -347,7 +347,7 @@ def _may_group(lines: Sequence[str], table: Dialect) -> str:
     of_numbers = [cells for cells, kind in zip(columns, table.kinds, strict=True) if kind is None]
     signed = [c for cells in of_numbers for c in cells if table.decimal in c]
     if table.decimal == ",":
-        of_times = (columns[i] for i in table.read if table.kinds[i] is not None)
+        of_times = (columns[i] for i in table.value_places if table.kinds[i] is not None)
         signed += [cell for cells in of_times for cell in cells if "," in cell]
         return "comma" if signed and all(map(_THOUSANDS.fullmatch, signed)) else ""
     if table.delimiter == "," or not all(map(_POINTED.fullmatch, signed)):
@@ -363,8 +363,8 @@ def _may_group(lines: Sequence[str], table: Dialect) -> str:
 
 def _date_in_row(line: str, table: Dialect) -> str | None:
     """Return the date and time of day in the text columns of a row; None if there are none."""
-    read = [i for i in table.read if getattr(table.kinds[i], "is_dated", True)]
-    text = " ".join(cell for i, cell in enumerate(table.split(line)) if cell and i not in read)
+    places = [i for i in table.value_places if getattr(table.kinds[i], "is_dated", True)]
+    text = " ".join(cell for i, cell in enumerate(table.split(line)) if cell and i not in places)
     return text if re.search(r"\d:\d\d", text) and read_date(text) is not None else None
 
 

@@ -209,12 +209,12 @@ class _Rows:
             skip_rows=max(self.dialect.first_line - 1 - self._n_lines, 0),
             column_names=list(self.dialect.names),
         )
-        read = pa.csv.read_csv(pa.BufferReader(piece), options, self._parse, self._convert)
+        table = pa.csv.read_csv(pa.BufferReader(piece), options, self._parse, self._convert)
         columns = [
             self._stamps(column.combine_chunks(), kind)
             if isinstance(kind, Notation)
             else _from_arrow(column)
-            for column, kind in zip(read.columns, self._kinds, strict=True)
+            for column, kind in zip(table.columns, self._kinds, strict=True)
         ]
         if self._pending and len(columns[0]):
             before = self._columns(self._taken())
@@ -248,7 +248,7 @@ class _Rows:
         dialect, kinds = self.dialect, self.dialect.kinds
         cells = ["" if cell in MISSING else cell for cell in dialect.split(text)]
         if len(cells) == len(kinds):
-            filled = [i for i in dialect.read if cells[i]]
+            filled = [i for i in dialect.value_places if cells[i]]
             wrong = {i for i in filled if not dialect.is_value(cells[i], i)}
             for i in wrong & set(self._places):
                 self._refuse_other_dialect(number, cells[i], kinds[i])

@@ -51,25 +51,25 @@ two sensors 1e-4 and more."""
 
 def living(
     manifest: TripManifest,
-    read: Mapping[str, Callable[[], SensorSignal]],
+    readers: Mapping[str, Callable[[], SensorSignal]],
     problems: Iterable[str] = (),
 ) -> tuple[list[SensorSignal], dict[str, str]]:
     """Return the signals of sensors, and why others have none, by name.
 
-    `read` returns the signal of each sensor. Raises one TripError with `problems` and those of all
-    sensors if any has another problem, or if less than ``LEAST_SENSORS`` are alive and one is dead
-    that is single or whose partner is dead, too.
+    `readers` return the signal of each sensor. Raises one TripError with `problems` and those of
+    all sensors if any has another problem, or if less than ``LEAST_SENSORS`` are alive and one is
+    dead that is single or whose partner is dead, too.
     """
     signals: list[SensorSignal] = []
     refused: dict[str, TripError] = {}
-    for name, signal in read.items():
+    for name, signal in readers.items():
         try:
             signals.append(signal())
         except TripError as error:
             refused[name] = error
     # a dead sensor is spared if its partner is alive, or enough others are
     dead = {name: error for name, error in refused.items() if isinstance(error, DeadSensorError)}
-    enough = len(read) - len(dead) >= LEAST_SENSORS
+    enough = len(readers) - len(dead) >= LEAST_SENSORS
     spared = [name for name in dead if enough or partner_of(name) not in ("", *dead)]
     faults = [
         words for name, error in refused.items() if name not in spared for words in error.problems
@@ -129,7 +129,9 @@ def check_copies(values: Mapping[str, FloatArray], usable: BoolArray, where: obj
     """
     stretches = np.array_split(np.flatnonzero(usable), STRETCHES)
     centred = {
-        name: [own - own.mean() for own in map(signal.__getitem__, filter(len, stretches))]
+        name: [
+            stretch - stretch.mean() for stretch in map(signal.__getitem__, filter(len, stretches))
+        ]
         for name, signal in values.items()
     }
     problems = []
@@ -137,9 +139,9 @@ def check_copies(values: Mapping[str, FloatArray], usable: BoolArray, where: obj
         products = np.array(
             [(x @ x, y @ y, x @ y) for x, y in zip(centred[first], centred[second], strict=True)]
         ).reshape(-1, 3)
-        own, its, shared = products[(products[:, :2] > 0).all(axis=1)].T
-        if len(own) and np.median(1 - shared**2 / (own * its)) < SAME:
-            gain = float(np.median(shared / own))
+        power, other_power, shared = products[(products[:, :2] > 0).all(axis=1)].T
+        if len(power) and np.median(1 - shared**2 / (power * other_power)) < SAME:
+            gain = float(np.median(shared / power))
             kind = "hold-same-samples" if abs(gain - 1) < SAME else "hold-same-times"
             problems.append(at(where, kind, one=first, other=second, gain=gain))
     if problems:
@@ -307,13 +309,13 @@ def _evidence(frames: _Frames, levels: FloatArray, i: int) -> BoolArray:
 
     `levels` are NaN where a sensor is no reference.
     """
-    own, others = frames.levels[i], np.delete(levels, i, axis=0)
+    level, others = frames.levels[i], np.delete(levels, i, axis=0)
     loudest = np.where(np.isnan(others), -np.inf, others).max(axis=0)
     quietest = np.where(np.isnan(others), np.inf, others).min(axis=0)
-    has_collapsed = np.isfinite(quietest) & (own <= quietest - COLLAPSED)  # False for NaN
+    has_collapsed = np.isfinite(quietest) & (level <= quietest - COLLAPSED)  # False for NaN
     # its signal at speeds far below those at which it shared motion is unknown
     shares = (frames.coherences[i] >= SHARED) & frames.judged
-    if np.isnan(own).all():
+    if np.isnan(level).all():
         return np.zeros_like(frames.judged)
     slowest = SLOW_SHARE * np.quantile(frames.speeds[shares], SLOW_QUANTILE)
     return np.asarray(((loudest >= USUAL) | has_collapsed) & (frames.speeds >= slowest))

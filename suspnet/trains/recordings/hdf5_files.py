@@ -125,19 +125,19 @@ class _Content:
 
     def described(self, name: str) -> dict[str, Any]:
         """Return rate, unit and start by a data set's attributes, or else by its group."""
-        own = mat.stated(_attributes(self.datasets[name]))
+        attributes = mat.stated(_attributes(self.datasets[name]))
         if self.datasets[name].dtype.names is not None:
-            own.pop("unit", None)  # a table has columns of several units
+            attributes.pop("unit", None)  # a table has columns of several units
         small = {
             key: _value(dataset)
             for key, dataset in mat.siblings(name, self.datasets, "/").items()
             if dataset.nbytes <= mat.MOST_NOTE_BYTES
         }
-        known = mat.stated_nearby(name, small) | self._times(name) | own
-        since = _SINCE.match(known.get("unit", ""))
+        arguments = mat.stated_nearby(name, small) | self._times(name) | attributes
+        since = _SINCE.match(arguments.get("unit", ""))
         if since and (start := read_date(since[2])):
-            known |= {"unit": since[1], "start_ns": nanoseconds(start)}
-        return known
+            arguments |= {"unit": since[1], "start_ns": nanoseconds(start)}
+        return arguments
 
     def _times(self, name: str) -> dict[str, str]:
         """Return the data set of times that netCDF attaches to the dimension of another one."""
@@ -219,13 +219,15 @@ def _field(dataset: Any, name: str) -> _View:
 
 def _packed(dataset: Any, h5py: Any) -> Any:
     """Return a data set with scale, offset and missing samples as its attributes mean them."""
-    own = _attributes(dataset)
-    numbers = {key: np.array(own[key], np.float64, ndmin=1) for key in PACKING if key in own}
+    attributes = _attributes(dataset)
+    numbers = {
+        key: np.array(attributes[key], np.float64, ndmin=1) for key in PACKING if key in attributes
+    }
     missing = [numbers[name] for name in MISSING_NAMES if name in numbers]
     chosen = dataset.id.get_create_plist().fill_value_defined()
     if chosen == h5py.h5d.FILL_VALUE_USER_DEFINED and dataset.fillvalue != 0:  # 0 may be a sample
         missing.append(np.array([dataset.fillvalue], dtype=np.float64))
-    is_unsigned = dataset.dtype.kind == "i" and str(own.get("_Unsigned")).lower() == "true"
+    is_unsigned = dataset.dtype.kind == "i" and str(attributes.get("_Unsigned")).lower() == "true"
     if not numbers and not missing and not is_unsigned:
         return dataset
     scale, offset = numbers.get("scale_factor", np.ones(1)), numbers.get("add_offset", np.zeros(1))

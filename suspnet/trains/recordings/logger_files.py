@@ -105,8 +105,8 @@ def _refused(channel: Any) -> str:
     number = int(channel.conversion.conversion_type)
     if number in APPLIED:
         return ""
-    what = REFUSED.get(number, Finding("number-of-kind", n=number))
-    return Finding("conversion-not-applied", what=what)
+    conversion = REFUSED.get(number, Finding("number-of-kind", n=number))
+    return Finding("conversion-not-applied", what=conversion)
 
 
 def _notes(header: Any) -> tuple[str, ...]:

@@ -80,8 +80,8 @@ def _sensors(value: Value) -> SensorSource | Several:
         raise TripError.at(value.path, kind, name=value.name, n=n)
     several: list[SensorSource] = []
     for places in axles:
-        own = [sensors[i] for i in places]
-        several += own if len(own) < 2 else _pair(value, places, own)
+        placed = [sensors[i] for i in places]
+        several += placed if len(placed) < 2 else _pair(value, places, placed)
     return tuple(several)
 
 
@@ -105,20 +105,20 @@ def _channels(value: Value) -> dict[str, SensorSource | Several]:
     """Return the sensors of each channel; one without any at axle 1 if the parts can be read."""
     key = ManifestKey(_sensors, "", "", default="")
     channels: dict[str, SensorSource | Several] = value.read(dict.fromkeys(CHANNELS, key))
-    several = {name: _as_several(own) for name, own in channels.items()}
+    several = {name: _as_several(sources) for name, sources in channels.items()}
     if sum(map(len, several.values())) < LEAST_SENSORS:
         all_of(partial(_check_first_axle, value.at(name), several.get(name)) for name in CHANNELS)
     return channels
 
 
-def _as_several(own: SensorSource | Several) -> Several:
-    return (own,) if isinstance(own, SensorSource) else own
+def _as_several(sources: SensorSource | Several) -> Several:
+    return (sources,) if isinstance(sources, SensorSource) else sources
 
 
-def _check_first_axle(value: Value, own: Several | None) -> None:
-    if own is None:
+def _check_first_axle(value: Value, sources: Several | None) -> None:
+    if sources is None:
         raise TripError.at(value.path, "channel-missing", name=value.name)
-    if own[0].is_elsewhere:
+    if sources[0].is_elsewhere:
         raise TripError.at(value.path, "axle-2-only", name=value.name, least_sensors=LEAST_SENSORS)
 
 
@@ -241,8 +241,8 @@ class TripManifest:
 
     def is_pair(self, channel: str) -> bool:
         """Return whether a channel has a sensor left and right at axle 1."""
-        own = self.channels.get(channel)
-        return isinstance(own, tuple) and not any(sensor.is_elsewhere for sensor in own[:2])
+        sources = self.channels.get(channel)
+        return isinstance(sources, tuple) and not any(sensor.is_elsewhere for sensor in sources[:2])
 
     @property
     def unplaced(self) -> tuple[str, ...]:
@@ -260,10 +260,12 @@ class TripManifest:
         a pair.
         """
         sensors: dict[str, SensorSource] = {}
-        for channel, own in self.channels.items():
+        for channel, sources in self.channels.items():
             for is_elsewhere in (False, True):
                 place = f"{channel} {OTHER_AXLE}" if is_elsewhere else channel
-                both = [one for one in _as_several(own) if one.is_elsewhere == is_elsewhere]
+                both = [
+                    sensor for sensor in _as_several(sources) if sensor.is_elsewhere == is_elsewhere
+                ]
                 if len(both) == 1:
                     sensors[place] = both[0]
                 else:

@@ -75,7 +75,9 @@ class ManifestFile:
             content = content | {"speed": _with_file(content.get("speed"))}
             channels = content.get("channels")
             if isinstance(channels, dict):
-                content["channels"] = {name: _with_file(own) for name, own in channels.items()}
+                content["channels"] = {
+                    name: _with_file(source) for name, source in channels.items()
+                }
         return _parsed(self.path, content)
 
     @property
@@ -111,9 +113,9 @@ class ManifestFile:
         if not isinstance(self.content, dict):
             return {}
         sources, channels = {"speed": self.content.get("speed")}, self.content.get("channels")
-        for name, own in channels.items() if isinstance(channels, dict) else ():
-            several = own if isinstance(own, list) else []
-            sources[f"channels.{name}"] = own
+        for name, source in channels.items() if isinstance(channels, dict) else ():
+            several = source if isinstance(source, list) else []
+            sources[f"channels.{name}"] = source
             sources |= {f"channels.{name}[{i}]": sensor for i, sensor in enumerate(several)}
         return {
             key: source
@@ -221,13 +223,13 @@ def partial_words(folder: Path) -> str:
         return ""
     try:
         marked = read_json(folder / UNFINISHED)
-        what = "suspensions" if "n_suspensions" in marked else "trips"
-        wanted = f" of {int(marked[f'n_{what}'])}"
+        noun = "suspensions" if "n_suspensions" in marked else "trips"
+        wanted = f" of {int(marked[f'n_{noun}'])}"
     except (OSError, ValueError, LookupError, TypeError):
-        what, wanted = "trips", ""
-    if what == "suspensions":
+        noun, wanted = "trips", ""
+    if noun == "suspensions":
         started = {path.parent for path in folder.glob("*/*.yaml")}
         n_written = sum(not (folder / UNFINISHED).exists() for folder in started)
     else:
         n_written = sum(path.is_file() for path in folder.glob("*.yaml"))
-    return f"partial: {n_written}{wanted} {what} are simulated"
+    return f"partial: {n_written}{wanted} {noun} are simulated"

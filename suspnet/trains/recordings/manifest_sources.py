@@ -137,7 +137,11 @@ def optional(*arguments: Any, value: Any = None, **named: Any) -> Any:
 
 def keys_of(kind: type) -> dict[str, ManifestKey]:
     """Return the keys of the mapping from which a dataclass is read."""
-    return {own.name: own.metadata["key"] for own in fields(kind) if "key" in own.metadata}
+    return {
+        declared.name: declared.metadata["key"]
+        for declared in fields(kind)
+        if "key" in declared.metadata
+    }
 
 
 # checks

@@ -174,24 +174,24 @@ def siblings(name: str, values: Mapping[str, Any], separator: str) -> dict[str, 
 
 def stated(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return rate, unit and date among named values, as arguments of `Column`."""
-    known: dict[str, Any] = {}
+    arguments: dict[str, Any] = {}
     for key, value in values.items():
         array, plain = np.asarray(value), plain_key(key)
         if array.size != 1:
             continue
         content = array.item()
         if plain in RATE_NAMES and array.dtype.kind in "iuf" and 0 < content < 1e9:
-            known["rate_hz"] = float(content)
+            arguments["rate_hz"] = float(content)
         elif plain in (*UNIT_NAMES, *DATE_NAMES):
             text = content.decode("utf-8", "replace") if isinstance(content, bytes) else content
             if isinstance(text, str) and text.strip():
-                known["unit" if plain in UNIT_NAMES else "date"] = text.strip()
-    return known
+                arguments["unit" if plain in UNIT_NAMES else "date"] = text.strip()
+    return arguments
 
 
 def stated_nearby(name: str, values: Mapping[str, Any]) -> dict[str, Any]:
     """Return what values next to an array state; times and speeds have no unit of acceleration."""
-    known = stated(values)
-    if _OTHER_KIND.fullmatch(name.lower()) and size_of("acceleration", known.get("unit")):
-        known.pop("unit")
-    return known
+    arguments = stated(values)
+    if _OTHER_KIND.fullmatch(name.lower()) and size_of("acceleration", arguments.get("unit")):
+        arguments.pop("unit")
+    return arguments

@@ -295,14 +295,14 @@ def _filter_calls(libc: Any) -> bool:
     if platform.machine() not in ARCHITECTURES:
         return False
     code, place = ARCHITECTURES[platform.machine()]
-    own = [(*numbers, 0, _ALL, os.getpid()) for numbers in OWN_SIGNALS.values()]
+    signals = [(*numbers, 0, _ALL, os.getpid()) for numbers in OWN_SIGNALS.values()]
     # classic BPF: (operation, skip if true, skip if false, operand)
     load, equal, bits, give = 0x20, 0x15, 0x54, 0x06
     allow, refuse = (give, 0, 0, 0x7FFF0000), (give, 0, 0, 0x00050000 | errno.EPERM)
     program = [(load, 0, 0, 4), (equal, 1, 0, code), refuse, (load, 0, 0, 0)]
     for number in (call.split(":")[1 + place] for call in ALLOWED_CALLS.split()):
         program += [(equal, 0, 1, int(number)), allow] if number else []
-    for *numbers, argument, mask, value in (*BOUNDED_CALLS.values(), *own):
+    for *numbers, argument, mask, value in (*BOUNDED_CALLS.values(), *signals):
         program += [(equal, 0, 5, numbers[place]), (load, 0, 0, 16 + 8 * argument)]
         program += [(bits, 0, 0, mask), (equal, 0, 1, value), allow, refuse]
     # libraries do without calls that look missing, as clone3(), whose flags cannot be read
@@ -315,7 +315,7 @@ def _filter_calls(libc: Any) -> bool:
 def _refuse_events(path: Path, folders: Sequence[str]) -> None:
     """Refuse what no reader needs by an audit hook of Python, which works on every system."""
     allowed = tuple(f"{folder}/" for folder in folders)
-    own = os.path.realpath(path)
+    data_file = os.path.realpath(path)
 
     def hook(event: str, arguments: tuple[Any, ...]) -> None:
         is_allowed = not event.startswith(_REFUSED_EVENTS)
@@ -323,9 +323,9 @@ def _refuse_events(path: Path, folders: Sequence[str]) -> None:
             name, _, flags = arguments
             target = os.path.realpath(os.fsdecode(name))
             is_read_only = not (isinstance(flags, int) and flags & _WRITES)
-            is_allowed = is_read_only and (target == own or target.startswith(allowed))
+            is_allowed = is_read_only and (target == data_file or target.startswith(allowed))
         if not is_allowed:
-            what = f"{event} {arguments[0]}" if arguments else event
-            raise PermissionError(Finding("reader-misled", what=what))
+            action = f"{event} {arguments[0]}" if arguments else event
+            raise PermissionError(Finding("reader-misled", what=action))
 
     sys.addaudithook(hook)

@@ -48,10 +48,12 @@ def open_uff(path: Path) -> Iterator[OpenFile]:
             is_times = name not in records
             record = file.read_sets(records[name.removesuffix(": times")])
             values = np.asarray(record["x" if is_times else "data"]).ravel()
-            n, held = int(record["num_pts"]), len(values)
-            if held < n:
+            n, n_values = int(record["num_pts"]), len(values)
+            if n_values < n:
                 column = repr(name)
-                raise TripError.at(path, "column-cut-off", name=column, n_declared=n, n_values=held)
+                raise TripError.at(
+                    path, "column-cut-off", name=column, n_declared=n, n_values=n_values
+                )
             takes[name] = n, values.__getitem__  # what follows fills up a line
         return slices(path, names, takes)
 

@@ -80,8 +80,8 @@ class Recording(ShortRepr):
     @cached_property
     def _places(self) -> list[dict[str, FloatArray]]:
         """The sensors of each channel by name, left first."""
-        own = self.values.items()
-        return [{name: v for name, v in own if channel_of(name) == c} for c in CHANNELS]
+        signals = self.values.items()
+        return [{name: v for name, v in signals if channel_of(name) == c} for c in CHANNELS]
 
     @cached_property
     def signals(self) -> FloatArray:
@@ -91,18 +91,20 @@ class Recording(ShortRepr):
         """
         nothing = np.full(len(self.usable), np.nan)
         places = self._places
-        return np.stack([np.mean([*own.values()], axis=0) if own else nothing for own in places])
+        return np.stack(
+            [np.mean([*sides.values()], axis=0) if sides else nothing for sides in places]
+        )
 
     @property
     def paired(self) -> tuple[bool, bool, bool]:
         """Which channels are pairs of sensors of which none is dead, by ``CHANNELS``."""
-        axle_box, bogie, body = (len(own) == len(SIDES) for own in self._places)
+        axle_box, bogie, body = (len(sides) == len(SIDES) for sides in self._places)
         return axle_box, bogie, body
 
     @property
     def differences(self) -> FloatArray:
         """(left - right) / 2 of each pair, (n_pairs, n), in the order of ``CHANNELS``, [m/s2]."""
-        pairs = [tuple(own.values()) for own in self._places if len(own) == len(SIDES)]
+        pairs = [tuple(sides.values()) for sides in self._places if len(sides) == len(SIDES)]
         halves = [(left - right) / 2 for left, right in pairs]
         return np.array(halves).reshape(len(halves), len(self.usable))
 
@@ -124,7 +126,7 @@ class Recording(ShortRepr):
 
     def sensors(self) -> dict[str, FloatArray]:
         """Return `values`, those of the bogie's other axle last."""
-        return {name: signal for own in self._places for name, signal in own.items()} | (
+        return {name: signal for sides in self._places for name, signal in sides.items()} | (
             self.elsewhere
         )
 
@@ -132,7 +134,7 @@ class Recording(ShortRepr):
     def absent(self) -> tuple[str, ...]:
         """Channels without a living sensor at axle 1."""
         places = zip(CHANNELS, self._places, strict=True)
-        return tuple(name for name, own in places if not own)
+        return tuple(name for name, sides in places if not sides)
 
     @property
     def dead(self) -> tuple[str, ...]:
@@ -144,8 +146,9 @@ class Recording(ShortRepr):
     def sides(self) -> tuple[str | None, ...]:
         """Side of each channel's only sensor; None for a pair, in the middle, or if unknown."""
         sensors, sides = self.manifest.sensors(), []
-        for own in self._places:
-            side = self.manifest.side_of(sensors[next(iter(own))]) if len(own) == 1 else None
+        for signals in self._places:
+            first = sensors[next(iter(signals))] if len(signals) == 1 else None
+            side = None if first is None else self.manifest.side_of(first)
             sides.append(side if side in SIDES else None)
         return tuple(sides)
 
@@ -173,12 +176,12 @@ def load_recording(manifest: TripManifest, rate_hz: float = 100.0) -> Recording:
     except TripError as error:  # read the sensors anyway, to report their problems as well
         track, offsets, problems = None, dict.fromkeys(sensors, 0.0), error.problems
     with ThreadPoolExecutor(MOST_AT_ONCE) as pool:
-        read = {
+        readers = {
             name: pool.submit(_read_sensor, manifest, name, offsets[name], rate_hz).result
             for name in sensors
         }
-        streams, dead = living(manifest, read, problems)
-    del read  # it holds the signals a second time
+        streams, dead = living(manifest, readers, problems)
+    del readers  # they hold the signals a second time
     recording = joined(manifest, streams, track, offsets.get("speed", 0.0), rate_hz, dead)
     # the date is not known to `joined`, which also serves streams
     return replace(recording, started=started, words=together((recording.words, doubt)))
@@ -225,7 +228,7 @@ def joined(
     own_faults = (fault for stream in streams for fault in stream.faults)
     faults = (*own_faults, *speed_faults, *loose_faults, *dead_faults(dead, duration_s, rate_hz))
     usable &= ~loose.any(axis=0)
-    faulty = {name: own | its for (name, own), its in zip(faulty.items(), loose, strict=True)}
+    faulty = {name: marked | its for (name, marked), its in zip(faulty.items(), loose, strict=True)}
     if not usable.any():
         reasons = together(map(str, faults)) or "the speed is never known"
         raise TripError.at(manifest.path, "nowhere-usable", faults=reasons)
@@ -250,10 +253,10 @@ def _clocks(
 ) -> tuple[SpeedTrack | None, dict[str, float], tuple[datetime | None, str]]:
     """Return the speeds, the clock offsets of sensors and speed [s], and `first_moment`."""
     sensors = manifest.sensors()
-    track, *own = all_of(
+    track, *of_sensors = all_of(
         [partial(read_speed, manifest), *(partial(zero_of, manifest, name) for name in sensors)]
     )
-    zeros = dict(zip(sensors, own, strict=True))
+    zeros = dict(zip(sensors, of_sensors, strict=True))
     zeros |= {} if track is None else {"speed": track.zero}
     return track, offsets_s(manifest, zeros), first_moment(zeros.values())
 

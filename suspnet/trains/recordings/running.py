@@ -177,13 +177,13 @@ class Running:
         missing = [name for name in self._sources if name not in started]
         if missing:
             raise TripError(f"{self.manifest.path}: nothing has come from {', '.join(missing)}")
-        read = {
+        readers = {
             name: partial(
                 self._sensors[name].signal, (self._clock_ns - self._zero_ns(name)) / SECOND_NS
             )
             for name in self.manifest.sensors()
         }
-        signals, dead = living(self.manifest, read)
+        signals, dead = living(self.manifest, readers)
         recording = joined(self.manifest, signals, self._track(), 0.0, self.rate_hz, dead)
         if self.rest is None:
             return recording
@@ -264,8 +264,13 @@ class Running:
     def identity(self) -> list[Any]:
         """Values that a state must share with the recording that continues it."""
         sensors = {
-            name: [own.unit, own.rate_hz, getattr(own, "sign", 1), getattr(own, "range", None)]
-            for name, own in self._sources.items()
+            name: [
+                source.unit,
+                source.rate_hz,
+                getattr(source, "sign", 1),
+                getattr(source, "range", None),
+            ]
+            for name, source in self._sources.items()
         }
         settings = [self.rate_hz, self.longest_s, self.before_s, asdict(self.order)]
         return [self._name, self.zero_ns, sensors, *settings]

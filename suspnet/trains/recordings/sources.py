@@ -339,16 +339,16 @@ def check_rate(where: str, stated_hz: float | None, times_hz: float) -> None:
 
 def _recut(blocks: Iterable[tuple[FloatArray, ...]]) -> Iterator[tuple[FloatArray, ...]]:
     pending: list[tuple[FloatArray, ...]] = []
-    held = 0
+    n_pending = 0
     for block in blocks:
         pending.append(block)
-        held += len(block[0])
-        if held < BLOCK:
+        n_pending += len(block[0])
+        if n_pending < BLOCK:
             continue
         columns = [np.concatenate(parts) for parts in zip(*pending, strict=True)]
-        whole = held - held % BLOCK
+        whole = n_pending - n_pending % BLOCK
         for start in range(0, whole, BLOCK):
             yield tuple(column[start : start + BLOCK] for column in columns)
-        pending, held = [tuple(column[whole:] for column in columns)], held - whole
-    if held:
+        pending, n_pending = [tuple(column[whole:] for column in columns)], n_pending - whole
+    if n_pending:
         yield tuple(np.concatenate(parts) for parts in zip(*pending, strict=True))

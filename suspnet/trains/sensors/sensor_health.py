@@ -66,17 +66,17 @@ def sensor_health(
     places = [
         [i for i, name in enumerate(names) if channel_of(name) == channel] for channel in CHANNELS
     ]
-    means = torch.stack([values[:, own].mean(dim=1) for own in places], dim=1)
+    means = torch.stack([values[:, rows].mean(dim=1) for rows in places], dim=1)
     generator = generator.on("cpu").running(recording.manifest.direction or FORWARD)
     expected, calm = _healthy(generator, speed, bins)
     # a dead sensor and one at the other axle are not compared with the vehicle
     unjudged = [*recording.dead, *recording.elsewhere]
     health = {name: SensorHealth(faulty=faulty[name]) for name in unjudged}
-    for place, own in enumerate(places):
-        for i in own:
+    for place, rows in enumerate(places):
+        for i in rows:
             x = values[:, i]
             noise = _noise(x, means, place)
-            gain = _gain(x, means, place, len(own), expected, calm, bins)
+            gain = _gain(x, means, place, len(rows), expected, calm, bins)
             health[names[i]] = SensorHealth(noise, *gain, faulty[names[i]])
     return health
 

@@ -4,23 +4,14 @@ For each two sensors, the residuals of `trains.spectra.subspace` at the median v
 with them exchanged, model errors of ``SPREADS[1]`` allowed for. Where an exchange lowers their rms,
 or nearly does, the trip is fitted with the sensors as given and exchanged, and the misfits decide.
 
-Left and right have their place in the residuals by the roll that they show. On two times three
-trains of tests/blind_train.py, plain and with everything at once, with up to twelve worn parts, 30
-to 130 %, no exchange of two of six sensors lowered the rms of 210 correct trips, with the drawing's
-vehicle (at least 1.002 times as large) or the commissioned one (1.01 times). Of 432 trips with two
-sensors swapped, each was found by its own exchange, with the drawing alone; on a train not among
-these the body's two had 11.69 as given and 11.68 exchanged, but misfits of 1.05 and 3.7. With such
-fits none of 70 correct trips of two of these trains was called swapped, and all 144 exchanges were
-found. With the commissioned vehicle a wrong order has 4 to 60 times the misfit of noise (66 trips).
+Left and right have their place in the residuals by the roll that they show. The rms alone finds
+most exchanges. Of two sensors that move almost alike it may hardly change: then the fit decides.
 
 Bogie and axle are found likewise, from one trip whose direction is known: where the drawing's
 vehicle has smaller or nearly the same residuals as measured elsewhere, the trip is fitted with
-those places. Of 36 trips of three trains with everything at once, up to twelve parts worn, both
-ways, the fits of the right place had 1.05 to 1.2 times the misfit of noise, those of the three
-others at least 4.4, but on four trips another place had smaller residuals. Of 204 trips of six
-trains, three of them plain, none was called wrong, and all 216 with another place given were found,
-14 of which the smallest residuals alone missed (benchmarks/swapped_sensors.py). Healthy trips
-that the vehicle does not explain are looked at in the same way.
+those places. Another place may have the smaller residuals at the median vehicle, so the residuals
+only choose which places are fitted. Healthy trips that the vehicle does not explain are looked at
+in the same way. The evidence is in docs/methods.md; benchmarks/swapped_sensors.py repeats it.
 """
 
 from __future__ import annotations
@@ -52,13 +43,14 @@ Item = TypeVar("Item")
 CLEARER = 1.25
 """Factor by which the misfit must fall for two sensors to be called swapped."""
 EXPLAINS = 2.0
-"""Misfit below which an exchange explains a trip. With the wrong bogie given, one had 9 for 17."""
+"""Misfit below which an exchange explains a trip. With the wrong bogie given an exchange may lower
+the misfit, too, but explains nothing."""
 OTHER_BOGIE = 2.0
-"""Likewise for another bogie or axle. Four trips of a leading bogie had 15 and 1.1."""
+"""Factor by which the misfit must fall for another bogie or axle to be reported."""
 NEARLY = 1.2
 """Largest rms residual at the median vehicle, over the smallest of all bogies, axles or orders of
-sensors, with which one is fitted: the right bogie and axle had up to 1.08 on 36 trips of three
-trains with everything at once."""
+sensors, with which one is fitted. It allows for a worn vehicle, whose own place may not have the
+smallest residual."""
 
 OTHER_PLACE: dict[Literal["axle", "centre"], Literal["axle", "centre"]] = {
     "axle": "centre",
@@ -83,21 +75,21 @@ class PlaceFit:
 
 @dataclass(frozen=True)
 class Elsewhere:
-    """Another place of the sensors than the given one, which explains a trip where that does not.
+    """Another place of the sensors than the stated one, which explains a trip where that does not.
 
     The place is that of the frame's sensor, the measured axle, and the direction of travel.
     """
 
-    given: PlaceFit
-    found: PlaceFit
+    stated: PlaceFit
+    best: PlaceFit
 
     @property
     def change(self) -> tuple[str, str, Direction]:
-        """What tells the place from the given one."""
-        return place_of(self.found.vehicle)
+        """The better place, with axle and direction."""
+        return place_of(self.best.vehicle)
 
     def __str__(self) -> str:
-        was, now = self.given.vehicle, self.found.vehicle
+        was, now = self.stated.vehicle, self.best.vehicle
         looks, say = [], []
         if now.frame_sensor != was.frame_sensor:
             is_centre = now.frame_sensor == "centre"
@@ -113,8 +105,8 @@ class Elsewhere:
         return at(
             together(looks),
             "misfit-elsewhere",
-            misfit=self.found.misfit,
-            misfit2=self.given.misfit,
+            misfit=self.best.misfit,
+            misfit2=self.stated.misfit,
             say=together(say, "; "),
         )
 
@@ -136,23 +128,25 @@ def elsewhere(
     looks like another one. `direction` is that of the manifest, None if it says none. `settings`
     are bound to the vehicle, the spectra on their bins.
     """
-    ways = DIRECTIONS if direction is None else (direction,)
-    own = [generator.running(way) for way in ways]
-    given = min((_place_fit(one, settings, trip) for one in own), key=attrgetter("score"))
-    if given.score <= ROUGHLY:
+    directions = DIRECTIONS if direction is None else (direction,)
+    as_stated = [generator.running(way) for way in directions]
+    stated = min(
+        (_place_fit(vehicle, settings, trip) for vehicle in as_stated), key=attrgetter("score")
+    )
+    if stated.score <= ROUGHLY:
         return None
     places = product(OTHER_PLACE, OTHER_END, DIRECTIONS)
     every = [replace(generator, frame_sensor=f, axle=a, direction=way) for f, a, way in places]
     # most trips are nearest to their own place at the median vehicle already
-    at_start = [_rms_residual(*_place_search(one, settings, trip)) for one in every]
-    likely = [one for one in _near(every, at_start, NEARLY) if one not in own]
-    fits = [_place_fit(one, settings, trip) for one in likely]
-    found = min(fits, key=attrgetter("score"), default=given)
-    if found.score > min(ROUGHLY, given.score / OTHER_BOGIE):
+    at_start = [_rms_residual(*_place_search(vehicle, settings, trip)) for vehicle in every]
+    likely = [vehicle for vehicle in _near(every, at_start, NEARLY) if vehicle not in as_stated]
+    fits = [_place_fit(vehicle, settings, trip) for vehicle in likely]
+    best = min(fits, key=attrgetter("score"), default=stated)
+    if best.score > min(ROUGHLY, stated.score / OTHER_BOGIE):
         return None
     if direction is None:  # either may be: it is no difference
-        given = replace(given, vehicle=given.vehicle.running(found.vehicle.direction))
-    return Elsewhere(given, found)
+        stated = replace(stated, vehicle=stated.vehicle.running(best.vehicle.direction))
+    return Elsewhere(stated, best)
 
 
 def _place_search(
@@ -193,20 +187,20 @@ def check_order(
     """
     assert generator.sensors is not None
     places = [generator.sensors[i] for i in trip.kept(generator.sensors)]
-    own = list(range(len(places)))
+    in_place = list(range(len(places)))
     likely = likely_orders(generator, trip, nearly)
-    orders = [one for one in likely if one != own]
+    orders = [order for order in likely if order != in_place]
     if not orders:
         return
     # no order has less than about 1
-    if (given := fit() if fit else misfit_near(generator, trip)) < CLEARER:
+    if (misfit := fit() if fit else misfit_near(generator, trip)) < CLEARER:
         return
-    other, best = min((misfit_near(generator, trip.in_order(one)), one) for one in orders)
+    other, best = min((misfit_near(generator, trip.in_order(order)), order) for order in orders)
     # at the median vehicle and after the fit, or else the fit explains the trip
-    if not (other < given / CLEARER and (best == likely[0] or other < EXPLAINS)):
+    if not (other < misfit / CLEARER and (best == likely[0] or other < EXPLAINS)):
         return
-    names = [places[i] for i in own if best[i] != i]
-    words = Finding("sensors-swapped", names=together(names, " and "), given=given, other=other)
+    names = [places[i] for i in in_place if best[i] != i]
+    words = Finding("sensors-swapped", names=together(names, " and "), given=misfit, other=other)
     raise TripError(of(where, words) if where else words)
 
 
@@ -239,13 +233,13 @@ def check_end(
     `generator`, `where` and `fit` are as for `check_order`; the direction of travel must be known.
     """
     own, *others = _ends(generator)
-    ends = [one for one in _likely_ends([own, *others], trip) if one is not own]
-    if not ends or (given := fit() if fit else misfit_near(own, trip)) < OTHER_BOGIE:
+    ends = [end for end in _likely_ends([own, *others], trip) if end is not own]
+    if not ends or (misfit := fit() if fit else misfit_near(own, trip)) < OTHER_BOGIE:
         return
-    fits = [misfit_near(one, trip) for one in ends]
+    fits = [misfit_near(end, trip) for end in ends]
     other, end = min(zip(fits, ends, strict=True), key=itemgetter(0))
-    if other < given / OTHER_BOGIE:
-        raise TripError(_other_end("trip-fits", where, generator, given, end, other))
+    if other < misfit / OTHER_BOGIE:
+        raise TripError(_other_end("trip-fits", where, generator, misfit, end, other))
 
 
 def _ends(generator: SpatialVehicle) -> list[SpatialVehicle]:
@@ -259,28 +253,28 @@ def _ends(generator: SpatialVehicle) -> list[SpatialVehicle]:
 
 def _likely_ends(ends: Sequence[SpatialVehicle], trip: BogieTrip) -> list[SpatialVehicle]:
     """Return those of the ends of a vehicle whose residuals of a trip are nearly the smallest."""
-    return _near(ends, [_misfit_at_start(one, trip) for one in ends], NEARLY)
+    return _near(ends, [_misfit_at_start(end, trip) for end in ends], NEARLY)
 
 
 def _near(items: Sequence[Item], misfits: Sequence[float], nearly: float) -> list[Item]:
     """Return the items whose misfit is at most `nearly` times the smallest, which is the first."""
     by_misfit = sorted(zip(misfits, items, strict=True), key=itemgetter(0))
-    return [one for misfit, one in by_misfit if misfit <= nearly * by_misfit[0][0]]
+    return [item for misfit, item in by_misfit if misfit <= nearly * by_misfit[0][0]]
 
 
 def _other_end(
-    kind: str, where: str, given: SpatialVehicle, misfit: float, end: SpatialVehicle, least: float
+    kind: str, where: str, own: SpatialVehicle, misfit: float, end: SpatialVehicle, least: float
 ) -> str:
-    keys = [f"`{key}`" for key in ("bogie", "axle") if getattr(given, key) != getattr(end, key)]
+    keys = [f"`{key}`" for key in ("bogie", "axle") if getattr(own, key) != getattr(end, key)]
     words = Finding(
         kind,
         axle=end.axle,
         bogie=end.bogie,
         least=least,
-        own_axle=given.axle,
-        own_bogie=given.bogie,
+        own_axle=own.axle,
+        own_bogie=own.bogie,
         misfit=misfit,
-        # with both, it moves like the given one in the other direction
+        # with both, it moves like its own end in the other direction
         keys=Finding("bogie-or-direction") if len(keys) > 1 else keys[0],
     )
     return of(where, words) if where else words

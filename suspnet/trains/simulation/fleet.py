@@ -27,7 +27,6 @@ from suspnet.ground.types import FloatArray
 from suspnet.trains.recordings.manifest import CHANNELS
 from suspnet.trains.simulation.signals import (
     Journey,
-    OutOfRound,
     Sensor,
     service_journey,
     steady_journey,
@@ -81,16 +80,6 @@ class Fleet:
         "if the vehicle has roll",
     )
     suspension: str = setting("simulated", "Name of the suspension in the manifests", rule="text")
-    wheel_order: int = setting(
-        0,
-        "Waves around the out-of-round wheels of the wheelset that is measured; 0 is round wheels",
-        low=0,
-        most=100,
-    )
-    wheel_mm: float = setting(
-        0.2, "Amplitude of these waves, half of peak to valley", "mm", above=0, most=10
-    )
-    wheel_diameter_m: float = setting(0.92, "Diameter of these wheels", "m", low=0.2, most=2)
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -116,12 +105,6 @@ class Fleet:
     def direction_of(self, index: int) -> Direction:
         """Return the direction of one trip, counted from 0."""
         return DIRECTIONS[index % 2] if self.direction == "both" else self.direction
-
-    def wheels(self) -> OutOfRound | None:
-        """Return the wheels of the wheelset that is measured, None if they are round."""
-        if not self.wheel_order:
-            return None
-        return OutOfRound(self.wheel_order, 1e-3 * self.wheel_mm, self.wheel_diameter_m)
 
     def journey_of(self, seed: int) -> Journey:
         """Return the speed along one trip."""
@@ -277,19 +260,19 @@ class Trains:
 
         The suspensions that wear are drawn at random.
         """
-        drawn: list[tuple[Aboard, int, int]] = []
+        candidates: list[tuple[Aboard, int, int]] = []
         for train in range(1, self.trains + 1):
             shared = _seeds(seed, train)[0]
             first_start = FIRST_DAY + HEADWAY * (train - 1)
             for car in range(1, (self.cars or 1) + 1):
                 for i, bogie in enumerate(ENDS):
                     aboard = Aboard(str(train), str(car), bogie, first_start, shared)
-                    drawn.append((aboard, *_seeds(seed, train, car, i + 1)))
-        by_lot = sorted(range(self.n_all), key=lambda i: drawn[i][2])
+                    candidates.append((aboard, *_seeds(seed, train, car, i + 1)))
+        by_lot = sorted(range(self.n_all), key=lambda i: candidates[i][2])
         wearing = set(by_lot[: self.n_wearing])
         return [
-            SimulatedSuspension(aboard, own, i in wearing)
-            for i, (aboard, own, _) in enumerate(drawn)
+            SimulatedSuspension(aboard, own_seed, i in wearing)
+            for i, (aboard, own_seed, _) in enumerate(candidates)
         ]
 
 

@@ -39,12 +39,12 @@ def own_folder(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def unfinished(
-    folder: Path, made_from: str, n_all: int, n_missing: int, what: str = "trips"
+    folder: Path, made_from: str, n_all: int, n_missing: int, noun: str = "trips"
 ) -> Iterator[None]:
     """Mark a folder as that of an unfinished simulation, until the context ends without an error.
 
     `made_from` is a hash of everything that its trips depend on; `n_all` and `n_missing` count its
-    trips or suspensions (`what`), and those not written yet. Raises FolderTakenError if the folder
+    trips or suspensions (`noun`), and those not written yet. Raises FolderTakenError if the folder
     holds trips of another simulation, FileExistsError if it holds a file that no simulation wrote.
     """
     mark = folder / UNFINISHED
@@ -52,14 +52,14 @@ def unfinished(
         if _holds_trips(folder):
             raise FolderTakenError(f"{folder} already holds trips; give another folder")
         ledger.begin(folder)
-        write_json(mark, {f"n_{what}": n_all, "made_from": made_from})
+        write_json(mark, {f"n_{noun}": n_all, "made_from": made_from})
     elif read_json(mark).get("made_from") != made_from:
         raise FolderTakenError(
             f"{folder} already holds trips; give another folder, or the settings of that "
             "unfinished simulation to continue it"
         )
     elif ledger.begin(folder) and n_missing < n_all:
-        log.info("%d of %d %s are written, continuing", n_all - n_missing, n_all, what)
+        log.info("%d of %d %s are written, continuing", n_all - n_missing, n_all, noun)
     try:
         yield
     # without a single trip nothing of this attempt remains

@@ -85,14 +85,14 @@ def simulate_trip(
             wheels[measured] += wheels_of.acceleration(position, speed, acceleration)
         outputs = motion.advance(wheels).reshape(n_sides, n_places, len(times))
         # The lead-in is not part of the trip.
-        kept = slice(max(0, -first), None)
+        of_trip = slice(max(0, -first), None)
         place = slice(max(0, first), max(0, first + len(times)))
-        signals[:, 3 - n_places :, place] = outputs[:, :, kept]
+        signals[:, 3 - n_places :, place] = outputs[:, :, of_trip]
         if n_places == 3:
             continue
-        signals[:, 0, place] = wheels[measured][kept]
+        signals[:, 0, place] = wheels[measured][of_trip]
         if cross is not None:
-            angle = wheels[len(system.behind_m) + measured][kept]
+            angle = wheels[len(system.behind_m) + measured][of_trip]
             for side, sign in enumerate((1.0, -1.0)[:n_sides]):
                 signals[side, 0, place] += sign * system.lateral_m[0] * angle
     return signals.reshape(3 * n_sides, n_samples)
@@ -223,18 +223,6 @@ class Sensor:
     precision: float = setting(
         0.0, "White noise relative to range_g, 0.001 in Table VII", low=0, most=100000
     )
-    offset_m_per_s2: float = setting(0.0, "Constant offset", "m/s²", low=-1e6, most=1e6)
-    drift_m_per_s2_per_h: float = setting(
-        0.0, "Drift of the offset", "m/s² per h", low=-1e6, most=1e6
-    )
-    dropouts_per_h: float = setting(
-        0.0,
-        "Mean number of drop-outs, in which the last value is held or is NaN, in turn",
-        "per h",
-        low=0,
-        most=100000,
-    )
-    dropout_s: float = setting(2.0, "Length of a drop-out", "s", above=0, most=1e6)
     gain: float = setting(
         1.0,
         "What is recorded of an acceleration of 1, 1.02 for a sensitivity that is 2 % too high",
@@ -269,20 +257,9 @@ class Sensor:
             noise = math.hypot(noise, self.precision * full_scale)
         delay = self.clock_offset_s * self.rate_hz
         late = np.arange(len(signal)) - round(delay)
-        recorded = signal[late.clip(0, len(signal) - 1)]
+        recorded: FloatArray = signal[late.clip(0, len(signal) - 1)]
         if delay != round(delay):  # the rest of a sample, by cubic splines
             recorded = shift(recorded, delay - round(delay), mode="nearest")
         recorded += noise * rng.standard_normal(len(signal))
-        hours = np.arange(len(signal)) / (self.rate_hz * 3600)
-        recorded += self.offset_m_per_s2 + self.drift_m_per_s2_per_h * hours
         np.clip(recorded, -full_scale, full_scale, out=recorded)
-        return self._dropped(recorded, rng)
-
-    def _dropped(self, recorded: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return a recording with drop-outs at random times: held values and NaN in turn."""
-        length = round(self.dropout_s * self.rate_hz)
-        hours = len(recorded) / (self.rate_hz * 3600)
-        for i in range(rng.poisson(self.dropouts_per_h * hours)):
-            first = int(rng.integers(1, max(2, len(recorded) - length)))
-            recorded[first : first + length] = np.nan if i % 2 else recorded[first - 1]
         return recorded

@@ -64,9 +64,9 @@ def scattered(generator: Any, scatter: float, seed: int) -> Any:
     for _ in range(MAX_DRAWS):
         steps = scatter * prior.deviations * rng.standard_normal(len(prior.names))
         logs = np.maximum(np.array(prior.mean) + steps, least)
-        drawn = _with_numbers(generator, prior.names, logs)
-        if drawn is not None and _decays(drawn):
-            return drawn
+        candidate = _with_numbers(generator, prior.names, logs)
+        if candidate is not None and _decays(candidate):
+            return candidate
     raise ValueError(
         f"none of {MAX_DRAWS} vehicles drawn with `scatter`={scatter} is physical; lower it"
     )

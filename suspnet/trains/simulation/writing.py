@@ -246,8 +246,7 @@ def _write_trip(
     tracks = _profiles(fleet, system, journey, rate_hz, (track, cross, *cross.spawn(1)))
     mean = tracks.pop(0)
     cross_level, alignment = (*tracks, None, None)[:2]
-    wheels = fleet.wheels()
-    signals = simulate_trip(system, mean, journey, rate_hz, cross_level, wheels, alignment)
+    signals = simulate_trip(system, mean, journey, rate_hz, cross_level, alignment=alignment)
     del tracks, mean, cross_level, alignment  # as large as the signals
     name = _name(index)
     channels = _write_channels(folder, name, fleet, system, signals, rate_hz, noise)

@@ -39,14 +39,14 @@ def same_speed(speeds: Tensor, within: Tensor, tolerance: float) -> list[Tensor]
     range that contains most of the segments `within`, then again for the remaining ones. `speeds`
     has the shape (n_segments, n_samples), [m/s].
     """
-    means, left, groups = speeds.mean(dim=1), within.clone(), []
+    means, remaining, groups = speeds.mean(dim=1), within.clone(), []
     widest = (1 + tolerance) / (1 - tolerance)
-    while bool(left.any()):  # each round takes at least one segment
-        lowest = means[left][:, None]
-        inside = (means >= lowest) & (means <= lowest * widest * (1 + 1e-9)) & left
+    while bool(remaining.any()):  # each round takes at least one segment
+        lowest = means[remaining][:, None]
+        inside = (means >= lowest) & (means <= lowest * widest * (1 + 1e-9)) & remaining
         group = inside[int(inside.sum(dim=1).argmax())]
         groups.append(group)
-        left = left & ~group
+        remaining = remaining & ~group
     return groups
 
 
@@ -95,16 +95,18 @@ def groups_of(
     A group is read as a whole by the model whose range contains its mean speed, by the nearest of
     several, or by none. `speeds`: (n_segments, n_samples), [m/s]; `groups` from `groups_to_read`.
     """
-    own = speed_range(method)
-    if own is None:
+    own_range = speed_range(method)
+    if own_range is None:
         return list(groups)
-    ranges = [one for one in map(speed_range, models) if one is not None]
-    return [group for group in groups if reading_range(group_speed(speeds, group), ranges) == own]
+    ranges = [model_range for model_range in map(speed_range, models) if model_range is not None]
+    return [
+        group for group in groups if reading_range(group_speed(speeds, group), ranges) == own_range
+    ]
 
 
 def readable_words(models: Sequence[Model]) -> str:
     """Return the speeds that some models read, as text: "the models read 61.0 to 78.0 m/s"."""
-    ranges = [one for one in map(speed_range, models) if one is not None]
+    ranges = [model_range for model_range in map(speed_range, models) if model_range is not None]
     kind = "model-reads" if len(models) == 1 else "models-read"
     return Finding(kind, words=range_words(ranges) if ranges else "any speed")
 
@@ -139,8 +141,9 @@ def minutes_words(welch: Welch, n_segments: int, least_averages: float) -> str:
     Averages of segments of different lengths cannot be compared.
     """
     lengths = welch.minutes(n_segments), welch.minutes(welch.n_segments(least_averages))
-    there, needed = (round(one, 1) for one in lengths)  # their difference is that of what is shown
-    return Finding("minutes", n_there=there, needed=needed, more=needed - there)
+    # rounded first, so that `more` is the difference of the numbers shown
+    available, needed = (round(minutes, 1) for minutes in lengths)
+    return Finding("minutes", n_there=available, needed=needed, more=needed - available)
 
 
 def speed_of(speeds: Tensor, segments: SegmentSpectra) -> tuple[float, float]:
@@ -310,12 +313,12 @@ def _flags(bins: Sequence[SpeedBin]) -> Flags:
 
     The reasons of bins differ only in their numbers.
     """
-    found = [b for b in bins if b.estimate.flags.flagged.any()]
-    if not found:
+    flagged = [b for b in bins if b.estimate.flags.flagged.any()]
+    if not flagged:
         return Flags.none(1)
-    worst = largest(found)
+    worst = largest(flagged)
     at = Finding(
-        "in-speed-bins", n_found=len(found), n_bins=len(bins), speed_m_per_s=worst.speed_m_per_s
+        "in-speed-bins", n_found=len(flagged), n_bins=len(bins), speed_m_per_s=worst.speed_m_per_s
     )
     (kind, words), *others = worst.estimate.flags.given[0]
     return Flags((((kind, of(at, words)), *others),))

@@ -54,8 +54,8 @@ DEVIATION = 1.5
 """Standard deviation of the logarithm of one window's power over the mean of one side: pi / sqrt(6)
 of an exponential variable, times 1.13 for the neighbours and 1.03 for the overlap of windows."""
 LEAK = 0.001
-"""Leakage of a line over the track's power above which a bin is left out: with 0.1 a line of 0.2 mm
-made c_s of the AM96 2 % wrong, with 0.001 it changed nothing."""
+"""Leakage of a line over the track's power above which a bin is left out. A line of 0.2 mm then
+changes no estimate; with 0.1 it would (docs/methods.md)."""
 
 
 @dataclass(frozen=True)
@@ -173,13 +173,13 @@ def line_bins(
     `speeds`: (n_segments, n_samples), [m/s]. The power of a Hann window falls as 1 / (pi d^3)^2
     with the distance of d bins.
     """
-    held = torch.zeros(len(frequencies_hz), dtype=torch.bool)
+    is_line = torch.zeros(len(frequencies_hz), dtype=torch.bool)
     for line in lines:
         height = line.height * float(speeds.mean()) * segment_s
         reach_hz = max(2.0, (height / (LEAK * math.pi**2)) ** (1 / 6)) / segment_s
         low, high = line.per_m * float(speeds.min()), line.per_m * float(speeds.max())
-        held |= (frequencies_hz >= low - reach_hz) & (frequencies_hz <= high + reach_hz)
-    return held
+        is_line |= (frequencies_hz >= low - reach_hz) & (frequencies_hz <= high + reach_hz)
+    return is_line
 
 
 def _diameters_m(recording: Recording) -> tuple[float, float]:
@@ -243,11 +243,11 @@ def _windows(recording: Recording, signal: FloatArray) -> _Windows | None:
     pieces, fastest = pieces[whole], fastest[whole]
     window = get_window("hann", length)
     per_m: FloatArray = np.asarray(np.fft.rfftfreq(length, step_m), dtype=np.float64)
-    kept = per_m <= (HIGHEST_ORDER + 1) / (math.pi * DIAMETERS_M[0])
-    spectra = np.fft.rfft((pieces - pieces.mean(axis=1, keepdims=True)) * window)[:, kept]
+    is_used = per_m <= (HIGHEST_ORDER + 1) / (math.pi * DIAMETERS_M[0])
+    spectra = np.fft.rfft((pieces - pieces.mean(axis=1, keepdims=True)) * window)[:, is_used]
     power = np.abs(spectra) ** 2 * (2 * step_m / float(window @ window))
-    valid = per_m[kept] * fastest.max(axis=1, keepdims=True) <= REACH * rate_hz
-    return _Windows(per_m[kept], power, valid, fastest.mean(axis=1))
+    valid = per_m[is_used] * fastest.max(axis=1, keepdims=True) <= REACH * rate_hz
+    return _Windows(per_m[is_used], power, valid, fastest.mean(axis=1))
 
 
 def _beside(values: FloatArray, side: int) -> FloatArray:

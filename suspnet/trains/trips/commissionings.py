@@ -27,8 +27,8 @@ NAMED = 6
 
 def since_km(model: Model) -> float:
     """Return the mileage of a model's first healthy trip, [km]; NaN if it is not commissioned."""
-    found = model.training.get("commissioned")
-    return float(found["mileage_km"][0]) if found else math.nan
+    commissioned = model.training.get("commissioned")
+    return float(commissioned["mileage_km"][0]) if commissioned else math.nan
 
 
 def eras(models: Sequence[Model]) -> list[list[Model]]:
@@ -72,11 +72,11 @@ def commissionings(models: Sequence[Model], results: Sequence[TripResult]) -> li
     return [
         Commissioning(
             since_km(model),
-            own,
-            {name: value / healthy_si[0][name] for name, value in own.items()},
+            values_si,
+            {name: value / healthy_si[0][name] for name, value in values_si.items()},
             tuple(model.training["commissioned"].get("trips", ())),
         )
-        for model, own in zip(used, healthy_si, strict=True)
+        for model, values_si in zip(used, healthy_si, strict=True)
     ]
 
 
@@ -85,8 +85,10 @@ def with_truth_of_each(
 ) -> list[TripResult]:
     """Return results whose truth, if known, is relative to their commissioning's healthy trips."""
     truths = {
-        one.since_km: [r.truth for r in results if r.trip in one.trips and r.truth]
-        for one in several
+        commissioning.since_km: [
+            r.truth for r in results if r.trip in commissioning.trips and r.truth
+        ]
+        for commissioning in several
     }
     return [
         _relative_truth(r, truths[r.healthy_since_km]) if r.healthy_since_km in truths else r
@@ -96,7 +98,9 @@ def with_truth_of_each(
 
 def _relative_truth(result: TripResult, healthy: Sequence[Mapping[str, float]]) -> TripResult:
     names = [
-        name for name in result.truth if name != BODY_MASS and all(name in one for one in healthy)
+        name
+        for name in result.truth
+        if name != BODY_MASS and all(name in truth for truth in healthy)
     ]
     return replace(result, truth=divided(result.truth, medians(healthy, names)))
 
@@ -111,8 +115,8 @@ def check_models(models: Sequence[Model]) -> tuple[str, ...]:
         trip_settings(model)
         if isinstance(model, FittedMethod) and model.task.mass_known:
             raise ModelFileError("models with protocol.mass_known=true cannot read trips")
-    read = [(model.vehicle, model.outputs) for model in models]
-    if any(one != read[0] for one in read):
+    identities = [(model.vehicle, model.outputs) for model in models]
+    if any(identity != identities[0] for identity in identities):
         raise ModelFileError(
             "the models of `run` must share vehicle and outputs; give runs of one vehicle"
         )
@@ -146,7 +150,9 @@ def models_of(models: Sequence[Model], place: Place) -> list[Model]:
     those of its bogie, if it is named. ModelFileError is raised if there is none, or if they cannot
     read trips together.
     """
-    places = sorted({one for one in map(place_of, models) if one is not None})
+    places = sorted(
+        {model_place for model_place in map(place_of, models) if model_place is not None}
+    )
     if len(places) > 1:
         models = [model for model in models if place_of(model) == place]
         if not models:

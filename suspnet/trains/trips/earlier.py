@@ -64,7 +64,7 @@ class FinishedTrips:
         """
         manifest = file.trip
         data = {manifest.file_of(source) for source in manifest.sources().values()}
-        states = {str(one): one.stat() for one in data}
+        states = {str(path): path.stat() for path in data}
         files = {name: [state.st_size, state.st_mtime_ns] for name, state in states.items()}
         return self._common | {"manifest": [str(manifest.path), file.data.hex()], "files": files}
 
@@ -97,7 +97,7 @@ def with_earlier(
     if the store cannot be used.
     """
     vehicle = models[0].vehicle.name
-    store.write(_kept(results, vehicle))
+    store.write(_storable(results, vehicle))
     series, n_others = store.comparable(vehicle, place, _references(models), results)
     if n_others:
         log.warning("%s", LEFT_OUT.format(store, n_others, place))
@@ -130,8 +130,8 @@ def keep_trips(
     HistoryError is raised if the store cannot be used.
     """
     vehicle = models[0].vehicle.name
-    store.write(kept := _kept(results, vehicle))
-    series, n_others = store.comparable(vehicle, place, _references(models), kept)
+    store.write(storable := _storable(results, vehicle))
+    series, n_others = store.comparable(vehicle, place, _references(models), storable)
     if n_others and (words := LEFT_OUT.format(store, n_others, place)) not in _LOGGED:
         _LOGGED.add(words)
         log.warning("%s", words)
@@ -147,6 +147,6 @@ def _references(models: Sequence[Model]) -> list[Reference]:
     ]
 
 
-def _kept(results: Sequence[TripResult], vehicle: str) -> list[TripResult]:
+def _storable(results: Sequence[TripResult], vehicle: str) -> list[TripResult]:
     """Return the trips that are stored: one that could not be read may be fixed by the next run."""
-    return [one for one in results if one.status != ERROR and one.vehicle == vehicle]
+    return [result for result in results if result.status != ERROR and result.vehicle == vehicle]

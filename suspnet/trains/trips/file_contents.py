@@ -213,9 +213,9 @@ def words_of(name: str) -> list[str]:
 def guessed_meaning(*names: str) -> str:
     """Return one of ``CHANNELS`` or ``SPEED`` by the first name that shows it; empty if none."""
     for words in map(words_of, names):
-        for what, (parts, wholes) in _WORDS.items():
+        for meaning, (parts, wholes) in _WORDS.items():
             if any(word in wholes or any(part in word for part in parts) for word in words):
-                return what
+                return meaning
     return ""
 
 

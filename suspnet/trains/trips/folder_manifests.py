@@ -80,7 +80,7 @@ HOW: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Trip:
-    """A trip: path and text of its manifest, its files, and what is known of it.
+    """A trip: path and text of its manifest, its files, and the values stated for it.
 
     `missing` are the keys that are to be said, of ``HOW`` or ``channels.NAME``; `guesses` those
     that are guessed from names.
@@ -88,16 +88,16 @@ class Trip:
 
     path: Path
     files: tuple[Path, ...]
-    known: Mapping[str, Stated]
+    stated: Mapping[str, Stated]
     signals: tuple[Signal, ...]
     text: str
     missing: tuple[str, ...]
     guesses: tuple[str, ...]
 
 
-def read_said(words: Iterable[str]) -> dict[str, str]:
-    """Return what ``KEY=VALUE`` of a command line say; ValueError if one is wrong."""
-    said: dict[str, str] = {}
+def read_settings(words: Iterable[str]) -> dict[str, str]:
+    """Return the ``KEY=VALUE`` of a command line; ValueError if one is wrong."""
+    settings: dict[str, str] = {}
     for word in words:
         key, _, value = word.partition("=")
         if key not in SAYABLE:
@@ -107,16 +107,16 @@ def read_said(words: Iterable[str]) -> dict[str, str]:
         if not value or (allowed and value not in allowed):
             rule = f"one of {', '.join(allowed)}" if allowed else "a value, not nothing"
             raise ValueError(f"`{key}` must be {rule}, got {value!r}")
-        if key in said:
+        if key in settings:
             raise ValueError(f"`{key}` is given twice")
-        said[key] = value
-    return said
+        settings[key] = value
+    return settings
 
 
 def folder_manifests(
     trip_files: Sequence[TripFiles],
     folder: Path,
-    said: Mapping[str, str],
+    command_line: Mapping[str, str],
     table: Mapping[str, Mapping[str, Stated]],
     config_dir: Path | None = None,
 ) -> list[Trip]:
@@ -126,35 +126,39 @@ def folder_manifests(
     with all `problems` if files cannot be read; ValueError if the table names a trip that is not
     there.
     """
+    # a table names a trip by its manifest or by any of its files
     names = {
-        one.path: {one.path.stem, *names_of([_relative(file, folder) for file in one.files])}
-        for one in trip_files
+        trip.path: {trip.path.stem, *names_of([_relative(file, folder) for file in trip.files])}
+        for trip in trip_files
     }
     if unknown := set(table).difference(*names.values()):
         raise ValueError(
             f"the table names {', '.join(sorted(unknown)[:5])}, which {folder} does not hold"
         )
     # all files are read before anything is said of one, so that all faults are reported at once
-    files = [file for one in trip_files for file in one.files]
+    files = [file for trip in trip_files for file in trip.files]
     contents = dict(zip(files, all_of(partial(contents_of, file) for file in files), strict=True))
     of_all = {
         key: Stated(_plain_value(key, value), BY_COMMAND_LINE)
-        for key, value in said.items()
+        for key, value in command_line.items()
         if key in PLACE_KEYS
     }
+    # the more specific source counts: a row of the table over the command line over the files
     trips = []
-    for one in trip_files:
-        several = [contents[file] for file in one.files]
+    for trip in trip_files:
+        several = [contents[file] for file in trip.files]
         of_trip: dict[str, Stated] = {}
-        for name in sorted(names[one.path] & set(table)):
+        for name in sorted(names[trip.path] & set(table)):
             of_trip |= table[name]
         signals = [signal for content in several for signal in content.signals]
-        if len({file.parent for file in one.files}) > 1:  # folders may be named by places
+        if len({file.parent for file in trip.files}) > 1:  # folders may be named by places
             signals = [replace(s, names=(*s.names, s.file.parent.name)) for s in signals]
-        known = _stated(one, several, signals, folder)
-        trips.append(_trip(one, several, signals, known | of_all | of_trip, said, config_dir))
-    _check_columns(said, trips)
-    if MILEAGE in said and len(trips) > 1:
+        stated = _stated(trip, several, signals, folder)
+        trips.append(
+            _trip(trip, several, signals, stated | of_all | of_trip, command_line, config_dir)
+        )
+    _check_columns(command_line, trips)
+    if MILEAGE in command_line and len(trips) > 1:
         raise ValueError(
             f"`mileage_km` is another one in each of the {len(trips)} trips: give {HOW[MILEAGE]}"
         )
@@ -165,8 +169,8 @@ def _relative(file: Path, folder: Path) -> Path:
     return Path(os.path.relpath(file, folder))
 
 
-def _check_columns(said: Mapping[str, str], trips: Sequence[Trip]) -> None:
-    for key, value in said.items():
+def _check_columns(command_line: Mapping[str, str], trips: Sequence[Trip]) -> None:
+    for key, value in command_line.items():
         if key.startswith("channels.") and not any(_columns(key, value, t.signals) for t in trips):
             raise ValueError(
                 f"`{key}` must name one or two of the columns {_names_of_columns(trips)}, and "
@@ -196,26 +200,26 @@ def _trip(
     trip: TripFiles,
     contents: Sequence[Contents],
     signals: Sequence[Signal],
-    known: Mapping[str, Stated],
-    said: Mapping[str, str],
+    stated: Mapping[str, Stated],
+    command_line: Mapping[str, str],
     config_dir: Path | None,
 ) -> Trip:
     """Return the manifest of a trip as text, with what is missing in it."""
-    path, known = trip.path, dict(known)
-    names = {key: said.get(f"channels.{key}", "") for key in CHANNELS}
-    names[SPEED] = said.get(SPEED, "")
+    path, stated = trip.path, dict(stated)
+    names = {key: command_line.get(f"channels.{key}", "") for key in CHANNELS}
+    names[SPEED] = command_line.get(SPEED, "")
     columns = {key: _columns(key, text, signals) for key, text in names.items()}
     chosen = {key: addresses for key, addresses in columns.items() if addresses}
     # a speed that was said, as a column or a number, counts more than one that files state
     if SPEED in chosen:
-        known.pop(SPEED, None)
-    elif SPEED in said:
-        known[SPEED] = Stated(_plain_value(SPEED, said[SPEED]), BY_COMMAND_LINE)
+        stated.pop(SPEED, None)
+    elif SPEED in command_line:
+        stated[SPEED] = Stated(_plain_value(SPEED, command_line[SPEED]), BY_COMMAND_LINE)
     sensors = [signal for signal in signals if key_of(signal.name) != MILEAGE]
-    own = tuple(_with_said(signal, said, chosen) for signal in sensors)
+    completed = tuple(_with_settings(signal, command_line, chosen) for signal in sensors)
     # columns that were chosen count more than those that are guessed by their names
     by_meaning: dict[str, list[Signal]] = {key: [] for key in (*CHANNELS, SPEED)}
-    for signal in own:
+    for signal in completed:
         for key in by_meaning:
             is_guess = key not in chosen and signal.meaning == key
             if is_guess or signal.address in chosen.get(key, ()):
@@ -226,27 +230,27 @@ def _trip(
     writer = _Writer(path.parent, tuple(chosen))
     read_as = [content.read_as for content in contents if content.read_as]
     # a manifest leaves out a side in the middle
-    placed = [key for key in PLACE_KEYS if key in known and known[key].value != MIDDLE]
+    placed = [key for key in PLACE_KEYS if key in stated and stated[key].value != MIDDLE]
     options = [] if config_dir is None else ["--config-dir", config_dir]
     lines = [
         "# Manifest of one trip, written by suspnet init. What is marked as a guess is taken from",
         f"# names: check it. Then run: {command('check', path, *options)}",
         *(f"# {words}" for words in read_as),
         f"format: {FORMAT}",
-        *(_stated_line(key, known[key]) for key in placed),
+        *(_stated_line(key, stated[key]) for key in placed),
         "",
-        *writer.speed(known.get(SPEED), by_meaning[SPEED]),
+        *writer.speed(stated.get(SPEED), by_meaning[SPEED]),
         "",
         "channels:",
         *(line for name in CHANNELS for line in writer.channel(name, by_meaning[name])),
     ]
-    required = [key for key in ("vehicle", "suspension", MILEAGE) if key not in known]
+    required = [key for key in ("vehicle", "suspension", MILEAGE) if key not in stated]
     is_single = any(len(by_meaning[k]) == 1 and not by_meaning[k][0].side for k in CHANNELS)
-    if is_single and "side" not in known:
+    if is_single and "side" not in stated:
         required.append("side")
     missing = tuple(dict.fromkeys([*required, *writer.missing]))
     text = "\n".join(map(_on_one_line, lines)) + "\n"
-    return Trip(path, trip.files, known, own, text, missing, tuple(writer.guesses))
+    return Trip(path, trip.files, stated, completed, text, missing, tuple(writer.guesses))
 
 
 def _stated_line(key: str, stated: Stated) -> str:
@@ -274,14 +278,15 @@ class _Writer:
         """Return the lines of a channel: one sensor, or a left and a right one, at each axle."""
         vertical = [s for s in candidates if not is_of_another_direction(s.name)] or candidates
         sides = [[s.side for s in vertical if (s.axle == 2) == is_other] for is_other in (0, 1)]
-        if not vertical or any(len(own) > 1 and sorted(own) != sorted(SIDES) for own in sides):
+        is_odd = [len(at_axle) > 1 and sorted(at_axle) != sorted(SIDES) for at_axle in sides]
+        if not vertical or any(is_odd):
             self.missing.append(f"channels.{name}")
             return []
         entries = [f"    - {self._entry(signal, ACCELERATION)}" for signal in vertical]
         return [f"  {name}:  # {self._how(name, f'channels.{name}')}", *entries]
 
-    def _how(self, what: str, key: str) -> str:
-        if what in self.chosen:
+    def _how(self, name: str, key: str) -> str:
+        if name in self.chosen:
             return BY_COMMAND_LINE
         self.guesses.append(key)
         return "guess by the name"
@@ -322,11 +327,11 @@ def _on_one_line(words: str) -> str:
     return "".join(letter if letter.isprintable() else " " for letter in words)
 
 
-def loggers_of(said: Mapping[str, str]) -> list[str]:
+def loggers_of(command_line: Mapping[str, str]) -> list[str]:
     """Return the files of all FILE:COLUMN that are said, which are of one trip."""
     words = (
         word.strip()
-        for key, names in said.items()
+        for key, names in command_line.items()
         if key == SPEED or key.startswith("channels.")
         for word in names.split(",")
     )
@@ -375,8 +380,8 @@ def _named(key: str, word: str, signals: Sequence[Signal]) -> list[Address]:
     return [by_side[side] for side in sorted(by_side)] if len(by_side) == len(named) else []
 
 
-def _with_said(
-    signal: Signal, said: Mapping[str, str], chosen: Mapping[str, Mapping[Address, int]]
+def _with_settings(
+    signal: Signal, command_line: Mapping[str, str], chosen: Mapping[str, Mapping[Address, int]]
 ) -> Signal:
     """Return a signal with what was said for all: side, axle, unit and rate.
 
@@ -390,13 +395,13 @@ def _with_said(
             side = SIDES[list(columns).index(address) % 2] if len(columns) > 1 else ""
             changes |= {"names": (side, *signal.names), "axle": columns[address]}
     prefix = "speed_" if meaning == SPEED else ""
-    unit, rate = said.get(f"{prefix}unit", ""), said.get(f"{prefix}rate_hz")
+    unit, rate = command_line.get(f"{prefix}unit", ""), command_line.get(f"{prefix}rate_hz")
     if unit and not signal.unit:
         changes["unit"] = unit
     if rate and not signal.time and not np.isfinite(signal.rate_hz):
         changes["rate_hz"] = float(_plain_value("rate_hz", rate))
-    if "range" in said and signal.column.is_fraction:
-        changes["range"] = float(_plain_value("range", said["range"]))
+    if "range" in command_line and signal.column.is_fraction:
+        changes["range"] = float(_plain_value("range", command_line["range"]))
     return replace(signal, **changes)
 
 
@@ -425,8 +430,9 @@ def _names_of_columns(trips: Sequence[Trip]) -> str:
     names: dict[str, None] = {}
     note = ""
     for trip in trips:
-        own = [signal.name for signal in trip.signals]
-        of_loggers = len(own) < len(CHANNELS) or len(set(own)) < len(own)
+        column_names = [signal.name for signal in trip.signals]
+        n_names = len(set(column_names))
+        of_loggers = len(column_names) < len(CHANNELS) or n_names < len(column_names)
         for signal in trip.signals:
             logger = signal.file.stem.removeprefix(trip.path.stem).strip("_-. ") or signal.file.stem
             names[f"{logger}:{signal.name}" if of_loggers else signal.name] = None
@@ -440,7 +446,7 @@ def origins(trips: Sequence[Trip]) -> list[str]:
     """Return a line for each key on where its values are from, with numbers of trips."""
     lines = []
     for key in (*PLACE_KEYS, SPEED):
-        if n_trips := Counter(trip.known[key].source for trip in trips if key in trip.known):
+        if n_trips := Counter(trip.stated[key].source for trip in trips if key in trip.stated):
             lines.append(f"{key}: {', '.join(f'{where} ({n})' for where, n in n_trips.items())}")
     if guesses := dict.fromkeys(key for trip in trips for key in trip.guesses):
         lines.append(f"guessed by names of columns, to be checked: {', '.join(guesses)}")

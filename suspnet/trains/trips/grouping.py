@@ -40,7 +40,7 @@ class Group:
     @property
     def axle(self) -> str:
         """The only axle that the manifests name; empty if there is none."""
-        named = {one.axle for one in self.manifests} - {""}
+        named = {manifest.axle for manifest in self.manifests} - {""}
         return named.pop() if len(named) == 1 else ""
 
 
@@ -83,7 +83,7 @@ def group_names(places: Sequence[tuple[Path, Place]], folder: Path) -> list[str]
         str(place) if part == folder else f"{part.name}_{place}" if several[part] > 1 else part.name
         for part, place in places
     ]
-    plain = [re.sub(r"[^\w.-]+", "_", one).strip("._")[:100] or "unknown" for one in names]
+    plain = [re.sub(r"[^\w.-]+", "_", name).strip("._")[:100] or "unknown" for name in names]
     return distinct(plain, TAKEN)
 
 

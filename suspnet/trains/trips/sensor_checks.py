@@ -124,9 +124,9 @@ def _frame_place(
         trip = HealthySpectra(0, manifest.name, at, band.average(chosen))
         other = elsewhere(generator, estimate, trip, manifest.direction)
         # another axle or direction is an error of the checks below
-        if other is not None and other.found.vehicle.frame_sensor != generator.frame_sensor:
+        if other is not None and other.best.vehicle.frame_sensor != generator.frame_sensor:
             doubts.append(str(other))
-            return {"frame_sensor": other.found.vehicle.frame_sensor}
+            return {"frame_sensor": other.best.vehicle.frame_sensor}
     return {}
 
 

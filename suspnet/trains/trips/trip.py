@@ -204,11 +204,11 @@ def _of_bins(bins: Sequence[SeenBin], model: Model, recording: Recording) -> dic
 
     Bins may overlap: a segment that two models read counts once.
     """
-    weights = np.array([one.spectra.n_averages for one in bins])
+    weights = np.array([speed_bin.spectra.n_averages for speed_bin in bins])
     weights = weights / weights.sum()
     coherence = sum(
-        weight * one.spectra.coherences().mean(dim=1).numpy()
-        for weight, one in zip(weights, bins, strict=True)
+        weight * speed_bin.spectra.coherences().mean(dim=1).numpy()
+        for weight, speed_bin in zip(weights, bins, strict=True)
     )
     used = _used(bins)
     features = ""
@@ -220,11 +220,11 @@ def _of_bins(bins: Sequence[SeenBin], model: Model, recording: Recording) -> dic
         "coherence_s": float(coherence[1]),
         "n_averages": sum(welch.n_averages(count) for welch, count in used.items()),
         "segments_used": sum(used.values()),
-        "speed_m_per_s": float(weights @ [one.speed_m_per_s for one in bins]),
+        "speed_m_per_s": float(weights @ [speed_bin.speed_m_per_s for speed_bin in bins]),
         "speed_bins": together(
-            f"{one.speed_m_per_s:.1f} m/s{' in reverse' if one.is_reverse else ''}: "
-            f"{one.spectra.n_averages:.0f} averages"
-            for one in bins
+            f"{speed_bin.speed_m_per_s:.1f} m/s{' in reverse' if speed_bin.is_reverse else ''}: "
+            f"{speed_bin.spectra.n_averages:.0f} averages"
+            for speed_bin in bins
         ),
         "direction": largest(bins).direction or recording.manifest.direction or "",
         "features_found": features,
@@ -233,9 +233,9 @@ def _of_bins(bins: Sequence[SeenBin], model: Model, recording: Recording) -> dic
 
 def _used(bins: Sequence[SeenBin]) -> dict[Welch, int]:
     chosen: dict[Welch, Tensor] = {}
-    for one in bins:
-        welch = one.segments.welch
-        chosen[welch] = chosen.get(welch, torch.zeros_like(one.chosen)) | one.chosen
+    for speed_bin in bins:
+        welch = speed_bin.segments.welch
+        chosen[welch] = chosen.get(welch, torch.zeros_like(speed_bin.chosen)) | speed_bin.chosen
     return {welch: int(segments.sum()) for welch, segments in chosen.items()}
 
 

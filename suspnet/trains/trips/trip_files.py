@@ -69,7 +69,7 @@ def find_trip_files(
         trips = [folder / "_".join(trip.relative_to(folder).parts) for trip in trips]
     names = distinct(str(trip.with_name(shortened(trip.name, MOST_NAME_BYTES))) for trip in trips)
     pairs = zip(names, by_trip.values(), strict=True)
-    return [TripFiles(Path(f"{name}.yaml"), tuple(own)) for name, own in pairs]
+    return [TripFiles(Path(f"{name}.yaml"), tuple(files)) for name, files in pairs]
 
 
 def _files(folder: Path, depth: int) -> Iterable[Path]:
@@ -139,8 +139,8 @@ def read_table(path: Path) -> dict[str, dict[str, Stated]]:
     for number, row in enumerate(rows[1:], start=2):
         trip = row[file].strip() if len(row) > file else ""
         if not trip or trip in table:
-            what = f"{trip!r} a second time" if trip else "no file"
-            raise ValueError(f"{path}, row {number}: it names {what}")
+            fault = f"{trip!r} a second time" if trip else "no file"
+            raise ValueError(f"{path}, row {number}: it names {fault}")
         table[trip] = {}
         for name, cell in zip(names, row, strict=False):
             key = key_of(name)
@@ -161,16 +161,16 @@ def table_of(trips: Iterable[tuple[Path, Mapping[str, Stated]]]) -> str:
     out = io.StringIO()
     rows = csv.writer(out, delimiter=";", lineterminator="\n")
     rows.writerow(["file", *WRITTEN])
-    for file, known in trips:
-        values = [known[key].value if key in known else "" for key in WRITTEN]
+    for file, stated in trips:
+        values = [stated[key].value if key in stated else "" for key in WRITTEN]
         rows.writerow([_cell_of(file.as_posix()), *values])
     return out.getvalue()
 
 
 def names_of(files: Sequence[Path]) -> set[str]:
     """Return the names that a table may give to files, whose paths are relative to its folder."""
-    own = {name for file in files for name in (file.name, file.stem)}
-    return own | {name for file in files for name in (file.as_posix(), _cell_of(file.as_posix()))}
+    plain = {name for file in files for name in (file.name, file.stem)}
+    return plain | {name for file in files for name in (file.as_posix(), _cell_of(file.as_posix()))}
 
 
 def _cell_of(name: str) -> str:

@@ -1,6 +1,6 @@
 """Kills programs at random moments, looks at what is left, and lets them go on to the end.
 
-python tests/fault_injection.py FOLDER N_KILLS SEED [PROGRAM ...]    prints the counts as JSON
+python benchmarks/fault_injection.py FOLDER N_KILLS SEED [PROGRAM ...]    prints the counts as JSON
 
 The programs run as forks of this process, which has imported all that they need: in two of three
 starts the moment of the kill would else fall into the import of torch.
@@ -38,7 +38,7 @@ MODEL = [
     *("model=msvr", "model.feature_map=nystroem", "model.n_components=128", "figures=false"),
 ]
 SIMULATE = [
-    *("out=trips", "fleet.minutes=2", "progress=false", "generator=best", "scatter=0"),
+    *("out=trips", "fleet.minutes=1", "progress=false", "generator=best", "scatter=0"),
     *(f"fleet.sensors.{n}.rate_hz={r:g}" for n, r in zip(CHANNELS, RATES_HZ, strict=True)),
 ]
 EVALUATE = ["run=../model", "trips=../trips", "progress=false"]
