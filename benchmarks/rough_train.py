@@ -27,7 +27,7 @@ from vehicles import AM96
 import suspnet
 from suspnet.estimation.flags import with_bogie_doubt
 from suspnet.ground.parameters import COMPONENTS
-from suspnet.trains.fits.bogie_fit import fit_parts
+from suspnet.trains.fits.bogie_fit import fit_parts, with_further_parts
 from suspnet.trains.identification.bogie_trips import PARTS_OF_BOGIE
 from suspnet.trains.simulation import Fleet
 
@@ -68,6 +68,7 @@ def read(name, seed, options, folder):
     ]
     begun = time.perf_counter()
     commissioned = suspnet.commission_bogie(vehicle, trips[: options.healthy])
+    commissioned = with_further_parts(commissioned, vehicle, trips[: options.healthy])
     took = time.perf_counter() - begun
     print(f"{name}, {seed}: {took:.0f} s, misfit {commissioned.misfit:.2f}", flush=True)
     head = {"set": name, "seed": seed, "minutes": options.minutes, "n_healthy": options.healthy}

@@ -17,7 +17,7 @@ X, Y, Z = np.eye(3)
 RAIL_M = 0.75
 TORSION_MASS = 0.2  # over the frame's
 BODY, FRAMES, WHEELSETS = 0, (1, 2), (3, 4, 5, 6)
-FREE = ("q", "tau_1", "tau_2")
+FREE = ("q", "tau_1", "tau_2", "q_b", "tau_b", "z_e")
 SIZE = 7 * 6 + len(FREE)
 INPUTS = 12  # height, angle and lateral place of the track under wheelsets 1 to 4
 
@@ -130,10 +130,21 @@ class Train:
                 self.system += kappa * np.outer(at, at)
                 self.drive += kappa * np.outer(at, rail)
 
-    def bend(self, row, height, place):
-        """Add the first bending of the body to a motion there."""
-        row[6 * 7] += height
+    def body(self, place, axis, end, heights=(0.0, 0.0)):
+        """Return the motion of a point of the body above a bogie, the measured one at `end` 1.
+
+        `heights` are those of the first and second bending there; torsion turns the body about x.
+        """
+        row = moved(BODY, place, axis)
+        row[42] = heights[0] * axis[2]
+        row[45] = heights[1] * axis[2]
+        row[46] = end * self.n["twist_at_pivot"] * np.cross(place, axis)[0]
         return row
+
+    def mode(self, name, mass):
+        """Return the dynamic stiffness of a mode without its mass."""
+        own = 2 * math.pi * self.n[f"{name}_frequency"]
+        return mass * (own**2 + 2 * self.n[f"{name}_damping"] * own * self.s)
 
     def frame(self, i, place, axis):
         """Return the motion of a point of a frame, its torsion included."""
@@ -169,37 +180,48 @@ class Train:
         gyration = n["wheelset_yaw_gyration"]
         own = np.array([0, aside, up, up * gyration, 0, gyration])
         squares[18:42] = np.tile(n["wheelset_mass"] * own**2, 4)
-        squares[42:] = body / 2, *[frame * TORSION_MASS] * 2
+        squares[42:45] = body / 2, *[frame * TORSION_MASS] * 2
+        hung = 4 * n["empty"] * (1 - 1 / (1 + n["equipment_share"]))
+        squares[45:] = body / 2, body * n["body_roll_gyration"] ** 2, hung
+        if "equipment" in self.parts:
+            squares[2] -= hung
         self.system += np.diag(squares) * s**2
-        bending = 2 * math.pi * n["bending_frequency"]
-        modal = 2 * n["empty"] * (bending**2 + 2 * n["bending_damping"] * bending * s)
-        twisting = 2 * math.pi * n["torsion_frequency"]
-        torsion = twisting**2 + 2 * n["torsion_damping"] * twisting * s
-        torsion *= frame * TORSION_MASS
-        self.system += np.diag([0] * 42 + [modal, torsion, torsion])
+        torsion = self.mode("torsion", frame * TORSION_MASS)
+        modal = [self.mode("bending", 2 * n["empty"]), torsion, torsion]
+        modal.append(self.mode("second", 2 * n["empty"]))
+        modal.append(self.mode("twist", 4 * n["empty"] * n["body_roll_gyration"] ** 2))
+        self.system += np.diag([0] * 42 + modal + [0])
+        if "equipment" in self.parts:
+            at = [self.ahead * n["equipment_ahead"], n["equipment_aside"], 0]
+            above, below = moved(BODY, at, Z), np.zeros(SIZE)
+            above[42], below[47] = n["equipment_at_bending"], 1.0
+            self.add(self.mode("equipment", hung), above, below)
 
     def springs(self):
         n, parts, s = self.n, self.parts, self.s
         for i, centre in enumerate(self.centres):
             section = np.zeros(SIZE)  # the slope of the bent body, its front up
             section[42] = n["bending_slope"] / centre
+            section[45] = self.ahead * n["second_slope"] / n["half_pivot_distance"]
+            end = 1 - 2 * i
+            heights = n["bending_at_pivot"], end * n["second_at_pivot"]
             for side, y in (("left", 1.0), ("right", -1.0)):
                 beside = y * n["secondary_lateral"]
                 k, c = self.own(i, "s", side)
-                over = self.bend(moved(BODY, [centre, beside, 0], Z), n["bending_at_pivot"], 0)
+                over = self.body([centre, beside, 0], Z, end, heights)
                 under = self.frame(i, np.array([0, beside, 0]), Z)
                 self.add(secondary(n, parts, k, c, s), over, under)
                 if "longitudinal" in parts:
-                    low = moved(BODY, [centre, beside, -n["body_lever"]], X)
+                    low = self.body([centre, beside, -n["body_lever"]], X, end)
                     high = self.frame(i, np.array([0, beside, n["bogie_lever"]]), X)
                     kappa = n["longitudinal_stiffness"] + n["longitudinal_damping"] * s
                     self.add(kappa, low + n["body_lever"] * section, high)
                 if "yaw_dampers" in parts:
                     arm, far = n["body_lever"] - n["yaw_height"], y * n["yaw_lateral"]
-                    low = moved(BODY, [centre, far, -arm], X) + arm * section
+                    low = self.body([centre, far, -arm], X, end) + arm * section
                     high = self.frame(i, np.array([0, far, n["bogie_lever"] + n["yaw_height"]]), X)
                     self.add(in_series(n["yaw_damping"] * s, n["yaw_bushing"]), low, high)
-                low = moved(BODY, [centre, beside, -n["body_lever"]], Y)
+                low = self.body([centre, beside, -n["body_lever"]], Y, end)
                 high = self.frame(i, np.array([0, beside, n["bogie_lever"]]), Y)
                 self.add(n["lateral_stiffness"] + n["lateral_damping"] * s, low, high)
                 for axle in (1, 2):
@@ -212,6 +234,7 @@ class Train:
                 self.add(2 * gamma, pitch)
             roll, over = np.zeros(SIZE), np.zeros(SIZE)
             roll[6 * FRAMES[i] + 3] = over[3] = 1.0
+            over[46] = end * n["twist_at_pivot"]
             self.add(n["anti_roll_bar"], over, roll)
 
     def corner(self, i, axle, side, beside):
@@ -268,6 +291,8 @@ class Train:
             keep[6 * body + 1] = "frame_sway" in self.parts
             keep[6 * body + 5] = "frame_yaw" in self.parts
             keep[43 + i] = "torsion" in self.parts
+        modes = "second_bending", "body_torsion", "equipment"
+        keep[45:] = [part in self.parts for part in modes]
         for body in WHEELSETS:
             keep[6 * body + 1] = keep[6 * body + 5] = "creep" in self.parts
             keep[6 * body + 2] = keep[6 * body + 3] = "track" in self.parts
@@ -288,7 +313,7 @@ class Train:
         """Return the motion to the left: of the body's floor, a frame's centre line, an axle."""
         if place.startswith("body"):
             ahead = self.centres[0] + self.vehicle.body_sensor_m
-            return moved(BODY, [ahead, 0, -self.n["body_lever"]], Y)
+            return self.body([ahead, 0, -self.n["body_lever"]], Y, 1)
         axle = 1 if "axle1" in place else 2
         if place.startswith("frame"):
             ahead = 0.0 if "centre" in place else self.axles[axle - 1]
@@ -299,8 +324,8 @@ class Train:
         n, v = self.n, self.vehicle
         y = {"left": 1.0, "right": -1.0, "middle": 0.0}[place.split("_")[-1]]
         if place.startswith("body"):
-            row = moved(BODY, [self.centres[0] + v.body_sensor_m, y * n["body_lateral"], 0], Z)
-            return self.bend(row, n["bending_at_sensor"], 0)
+            at = [self.centres[0] + v.body_sensor_m, y * n["body_lateral"], 0]
+            return self.body(at, Z, 1, (n["bending_at_sensor"], n["second_at_sensor"]))
         axle = 1 if "axle1" in place else 2
         if place.startswith("frame"):
             ahead = 0.0 if "centre" in place else self.axles[axle - 1]
@@ -319,6 +344,9 @@ def measured(vehicle, train):
         row = train.seen(place) @ motion
         if i and "sensors" in vehicle.parts:
             row = row * n[f"gain_{place}"] * cmath.exp(-train.s * n[f"delay_{place}"])
+        if place.startswith("body") and "floors" in vehicle.parts:
+            spring = 1 / n[f"floor_softness_{place}"] + n[f"floor_damping_{place}"] * train.s
+            row = row * spring / (spring + train.s**2)
         rows.append(row)
     return np.array(rows)
 

@@ -101,6 +101,10 @@ ADDITIONS: dict[str, tuple[str, ...]] = {
     "creep": tuple(f"{motion}_w{wheel}" for wheel in range(1, 5) for motion in ("y", "chi")),
     "torsion": ("tau_1", "tau_2"),
     "track": tuple(f"{motion}_w{wheel}" for wheel in range(1, 5) for motion in ("z", "theta")),
+    "second_bending": ("q_b",),
+    "body_torsion": ("tau_b",),
+    "equipment": ("z_e",),
+    "floors": (),
     "cross_axis": (),
 }
 """Parts that only a vehicle of twelve separate parts may have, each with its coordinates."""
@@ -137,6 +141,7 @@ UNMEASURED = tuple(quantity.name for quantity in QUANTITIES)
 """Names of the quantities: columns of ratios after ``PARAMETERS``, the speed first."""
 _OWN = {"healthy": "healthy {} over the mean of its kind"}
 _OWN |= {"other": "{} of the other bogie over the mean of its kind"}
+FLOOR = "softness of the local floor below"
 CROSS_AXIS = "share of the lateral motion that is read by"
 SPATIAL_QUANTITIES = (
     *(
@@ -148,6 +153,14 @@ SPATIAL_QUANTITIES = (
     *(Quantity("sensors", f"gain_{p}", 0.02, "", f"sensitivity of {p}", 1.0) for p in PLACES),
     *(
         Quantity("sensors", f"delay_{p}", 0.1, "s", f"delay of {p}", 5e-3, True, 0.0)
+        for p in PLACES
+    ),
+    *(
+        Quantity("floors", f"floor_softness_{p}", 0.5, "s²", f"{FLOOR} {p}", 1.3e-4, True)
+        for p in PLACES
+    ),
+    *(
+        Quantity("floors", f"floor_damping_{p}", 0.5, "1/s", f"damping of the {FLOOR} {p}", 10.0)
         for p in PLACES
     ),
     *(

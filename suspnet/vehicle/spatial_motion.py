@@ -107,14 +107,18 @@ def is_lateral(parts: Iterable[str]) -> bool:
     return any(part in LATERAL for part in parts)
 
 
-def masses(parts: Sequence[str], p: Mapping[str, Tensor]) -> list[Tensor]:
+def masses(layout: Layout, p: Mapping[str, Tensor]) -> list[Tensor]:
     """Return the mass of each coordinate [kg], of an angle in rad the inertia, (n_vehicles, 1)."""
+    parts, hung = layout.parts, _hung_kg(layout, p)
     body, frame = 4 * p["M_s"], 2 * p["bogie_mass"]
     bodily = (p["body_gyration"] / p["half_pivot_distance"]) ** 2
     pitch = (p["bogie_gyration"] / p["half_wheelbase"]) ** 2
     mass_of = {"z": body, "y": body, "phi": body * bodily, "q": body / 2}
     mass_of |= {"theta": body * p["body_roll_gyration"] ** 2}
     mass_of |= {"chi": body * bodily * p["body_yaw"] ** 2}
+    mass_of |= {"q_b": body / 2, "tau_b": body * p["body_roll_gyration"] ** 2}
+    if "equipment" in parts:  # the rest of the body is lighter by it
+        mass_of |= {"z": body - hung, "z_e": hung}
     for i in "12":
         mass_of |= {f"z_{i}": frame, f"y_{i}": frame, f"psi_{i}": frame * pitch}
         mass_of |= {f"theta_{i}": frame * p["bogie_roll_gyration"] ** 2}
@@ -128,16 +132,27 @@ def masses(parts: Sequence[str], p: Mapping[str, Tensor]) -> list[Tensor]:
     return [mass_of[name] for name in coordinates(parts)]
 
 
+def _hung_kg(layout: Layout, p: Mapping[str, Tensor]) -> Tensor:
+    """Return the mass hung below the floor, [kg]."""
+    share = p["equipment_share"]
+    return 4 * layout.empty_body_kg * share / (1 + share)
+
+
 def acting(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
     """Return every element of vehicles whose numbers `p` have the shape (n_vehicles, 1)."""
     parts = layout.parts
     joints = [*_suspensions(layout, p), *_linked(layout, p)]
     if "bending" in parts:
         joints.append(Joint(bending_element(p, layout.empty_body_kg).times(2), {"q": 1.0}))
+    if "second_bending" in parts:
+        joints.append(Joint(_mode(p, "second", 2 * layout.empty_body_kg), {"q_b": 1.0}))
+    if "body_torsion" in parts:
+        inertia = 4 * layout.empty_body_kg * p["body_roll_gyration"] ** 2
+        joints.append(Joint(_mode(p, "twist", inertia), {"tau_b": 1.0}))
+    if "equipment" in parts:
+        joints.append(_hung(layout, p))
     if "torsion" in parts:
-        omega = 2 * math.pi * p["torsion_frequency"]
-        mass = 2 * p["bogie_mass"] * TORSION_MASS
-        torsion = Element(mass * omega**2, 2 * p["torsion_damping"] * mass * omega)
+        torsion = _mode(p, "torsion", 2 * p["bogie_mass"] * TORSION_MASS)
         joints += [Joint(torsion, {f"tau_{i}": 1.0}) for i in "12"]
     if "track" in parts:
         joints += _carried(p)
@@ -146,6 +161,25 @@ def acting(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
     if "creep" in parts:
         joints += _creeping(layout, p)
     return joints
+
+
+def _mode(p: Mapping[str, Tensor], name: str, mass: Tensor | float) -> Element:
+    """Return the stiffness and damping of a mode of this mass alone."""
+    own = 2 * math.pi * p[f"{name}_frequency"]
+    return Element(mass * own**2, 2 * p[f"{name}_damping"] * mass * own)
+
+
+def _hung(layout: Layout, p: Mapping[str, Tensor]) -> Joint:
+    """Return what holds the equipment below the floor."""
+    ahead = p["equipment_ahead"] / p["half_pivot_distance"]
+    body: Row = {"z": -1.0, "phi": -ahead, "theta": -p["equipment_aside"]}
+    bent: Row = {"q": -p["equipment_at_bending"]}
+    return Joint(_mode(p, "equipment", _hung_kg(layout, p)), {"z_e": 1.0, **body, **bent})
+
+
+def _body_roll(p: Mapping[str, Tensor], sigma: float, factor: Tensor | float) -> Row:
+    """Return `factor` times the roll of the body at a pivot, its torsion included."""
+    return {"theta": factor, "tau_b": sigma * p["twist_at_pivot"] * factor}
 
 
 def _height(parts: Sequence[str], wheel: int) -> str:
@@ -191,11 +225,12 @@ def _suspensions(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
                 joints.append(Joint(spring, {**_corner(i, end, lateral, p), **below}))
             spring = secondary_element(p, prefix, parts, f"_{side}")
             lateral = SIGNS[side] * p["secondary_lateral"]
-            body: Row = {"z": 1.0, "q": p["bending_at_pivot"], "phi": sigma, "theta": lateral}
+            body: Row = {"z": 1.0, "q": p["bending_at_pivot"], "phi": sigma}
+            body |= {"q_b": sigma * p["second_at_pivot"], **_body_roll(p, sigma, lateral)}
             joints.append(Joint(spring, {**body, f"z_{i}": -1.0, f"theta_{i}": -lateral}))
         if "guidance" in parts:
             joints.append(Joint(guidance, {f"psi_{i}": 1.0}))
-        joints.append(Joint(bar, {"theta": 1.0, f"theta_{i}": -1.0}))
+        joints.append(Joint(bar, {**_body_roll(p, sigma, 1.0), f"theta_{i}": -1.0}))
     return joints
 
 
@@ -212,10 +247,11 @@ def _linked(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
         for (element, below_body, above_bogie), half in along:
             body, bogie = f * below_body / pivot, t * above_bogie / a
             pitched: Row = {"phi": body, "q": sigma * p["bending_slope"] * body, f"psi_{i}": bogie}
+            pitched |= {"q_b": p["second_slope"] * body}
             for lateral in half, -half:
                 yawed: Row = {"chi": -f * lateral / pivot, f"chi_{i}": t * lateral / a}
                 joints.append(Joint(element, {**pitched, **yawed}))
-        swayed: Row = {"y": 1.0, "chi": sigma, "theta": p["body_lever"]}
+        swayed: Row = {"y": 1.0, "chi": sigma, **_body_roll(p, sigma, p["body_lever"])}
         swayed |= {f"y_{i}": -1.0, f"theta_{i}": p["bogie_lever"]}
         joints.append(Joint(aside, swayed))
     return joints
@@ -282,7 +318,7 @@ def _seen(layout: Layout, p: Mapping[str, Tensor], place: str) -> Row:
 def _aside(layout: Layout, p: Mapping[str, Tensor], place: str) -> Row:
     """Return the lateral motion of a place, to the left."""
     if place.startswith("body"):
-        return {"y": 1.0, "chi": _ahead(layout, p), "theta": p["body_lever"]}
+        return {"y": 1.0, "chi": _ahead(layout, p), **_body_roll(p, 1.0, p["body_lever"])}
     axle, end = _axle_of(place)
     if place.startswith("frame"):
         return {"y_1": 1.0, "chi_1": end}
@@ -307,7 +343,8 @@ def _upwards(layout: Layout, p: Mapping[str, Tensor], place: str) -> Row:
     sign = SIGNS[place.rpartition("_")[2]]
     if place.startswith("body"):
         bent: Row = {"z": 1.0, "q": p["bending_at_sensor"], "phi": _ahead(layout, p)}
-        return {**bent, "theta": sign * p["body_lateral"]}
+        bent |= {"q_b": p["second_at_sensor"]}
+        return {**bent, **_body_roll(p, 1.0, sign * p["body_lateral"])}
     axle, end = _axle_of(place)
     if place.startswith("frame"):
         return _corner(1, end, sign * p["frame_lateral"], p)
@@ -354,7 +391,7 @@ def spatial_motion(layout: Layout, p: Mapping[str, Tensor], sensors: Sequence[st
     seen = np.array([vector(row) for row in sensed(layout, p, sensors)])
     n = {name: float(value) for name, value in p.items()}
     behind = by_axle(layout, behind_of(n, layout.bogie, layout.axle))
-    system = assembled([float(m) for m in masses(layout.parts, p)], elements, seen, tuple(behind))
+    system = assembled([float(m) for m in masses(layout, p)], elements, seen, tuple(behind))
     return replace(
         system,
         roll_per_m=math.sqrt(n["cross_level"]) / RAIL_LATERAL_M,

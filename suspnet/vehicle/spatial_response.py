@@ -190,7 +190,7 @@ def equations(
     elements = {id(joint.element): joint.element for joint in joints}
     place = {key: i for i, key in enumerate(elements)}
     kappa = Element.stacked(list(elements.values())).at(omega)
-    inertia = torch.stack(masses(parts, p), dim=1) * omega**2
+    inertia = torch.stack(masses(layout, p), dim=1) * omega**2
     like = p["speed"]
     pulls = [joint.stretch if joint.pull is None else joint.pull for joint in joints]
     return MotionEquations(
@@ -201,7 +201,7 @@ def equations(
         inertia=inertia,
         inputs=_inputs(layout, p, omega).permute(0, 3, 1, 2),
         places=_matrix(sensed(layout, p, sensors), (*moving, *wheels), like),
-        gains=_gains(p, sensors, omega) if "sensors" in parts else None,
+        gains=_gains(parts, p, sensors, omega) if {"sensors", "floors"} & {*parts} else None,
     )
 
 
@@ -275,12 +275,25 @@ def _sizes(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
     return torch.stack(sizes, dim=1)
 
 
-def _gains(p: Mapping[str, Tensor], sensors: Sequence[str], omega: Tensor) -> Tensor:
-    """Return what sensors make of an acceleration, relative to the first one."""
+def _gains(
+    parts: Sequence[str], p: Mapping[str, Tensor], sensors: Sequence[str], omega: Tensor
+) -> Tensor:
+    """Return what sensors make of an acceleration.
+
+    Sensitivity and delay are relative to the first one. The floor below a sensor of the body,
+    softness s and damping d, moves by (1 + j omega s d) / (1 - omega^2 s + j omega s d).
+    """
     unit = torch.ones_like(p["speed"] * omega)
-    gains = [torch.complex(unit, torch.zeros_like(unit))]
-    for name in sensors[1:]:
-        gains.append(phasor(omega * p[f"delay_{name}"]) * p[f"gain_{name}"])
+    gains = []
+    for i, name in enumerate(sensors):
+        gain = torch.complex(unit, torch.zeros_like(unit))
+        if i and "sensors" in parts:
+            gain = phasor(omega * p[f"delay_{name}"]) * p[f"gain_{name}"]
+        if "floors" in parts and name.startswith("body"):
+            softness = p[f"floor_softness_{name}"] * omega
+            lagging = torch.complex(unit, softness * p[f"floor_damping_{name}"])
+            gain = gain * lagging / (lagging - softness * omega)
+        gains.append(gain)
     return torch.stack(gains, dim=1)
 
 

@@ -6,10 +6,10 @@ The equations are in `suspnet.vehicle.spatial_motion`, the responses and their d
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import torch
 from numpy.typing import ArrayLike
@@ -25,6 +25,7 @@ from suspnet.vehicle.quantities import (
     PLACES,
     QUANTITIES,
     SPATIAL_QUANTITIES,
+    LogNormal,
     Quantity,
 )
 from suspnet.vehicle.spatial_motion import is_lateral, spatial_motion
@@ -47,10 +48,11 @@ class SpatialVehicle(VehicleFamily):
     quantities ("healthy_k_p_axle1_left", ...) from the healthy mean of their kind, as those of the
     other bogie do ("other_k_p_axle1_left", ...). `parts` may also hold frame_sway, frame_yaw,
     body_yaw, creep (sway and yaw of the wheelsets), torsion (of the frames), track (that gives way
-    under the wheelsets) and cross_axis (of the sensors); roll is always one of them. The vehicle is
-    the vertical one where nothing differs and these are absent. `sensors` are from ``PLACES``, by
-    default a pair at axle box 1, at `frame_sensor` and on the body; sensitivities and delays are
-    relative to the first of them.
+    under the wheelsets), second_bending and body_torsion, equipment (hung below the floor),
+    floors (local ones below the body's sensors) and cross_axis (of the sensors); roll is always
+    one of them. The vehicle is the vertical one where nothing differs and these are absent.
+    `sensors` are from ``PLACES``, by default a pair at axle box 1, at `frame_sensor` and on the
+    body; sensitivities and delays are relative to the first of them.
 
     Examples
     --------
@@ -101,17 +103,34 @@ class SpatialVehicle(VehicleFamily):
             for side in ("left", "right")
         )
 
+    def with_parts(self, parts: Sequence[str]) -> Self:
+        """Return the vehicle with further parts, their numbers as uncertain as before any trip."""
+        missing = [part for part in parts if part not in self.parts]
+        vehicle = replace(self, parts=(*self.parts, *missing), distribution=None)
+        added = LogNormal.independent(
+            {q.name: q.deviation for q in vehicle.quantities if q.part in missing}
+        )
+        known = self.distribution or LogNormal.independent({})
+        return replace(vehicle, distribution=known.extended(added))
+
     @cached_property
     def quantities(self) -> tuple[Quantity, ...]:  # noqa: D102
         measuring = {f"{kind}_{place}" for kind in ("gain", "delay") for place in self._places[1:]}
         measuring |= {f"cross_axis_{place}" for place in self._places}
+        measuring |= {
+            f"floor_{kind}_{place}"
+            for kind in ("softness", "damping")
+            for place in self._places
+            if place.startswith("body")
+        }
         return (
             # those of yaw dampers are among its own
             *(q for q in QUANTITIES if q.part not in ("sensors", "yaw_dampers")),
             *(
                 quantity
                 for quantity in SPATIAL_QUANTITIES
-                if quantity.part not in ("sensors", "cross_axis") or quantity.name in measuring
+                if quantity.part not in ("sensors", "floors", "cross_axis")
+                or quantity.name in measuring
             ),
         )
 

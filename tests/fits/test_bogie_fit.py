@@ -15,7 +15,13 @@ from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.ground.parameters import COMPONENTS, FORWARD, REVERSE
 from suspnet.trains.fits import bogie_fit, bogie_search
-from suspnet.trains.fits.bogie_fit import ALIGNED, EXPLAINED, commission_bogie, fit_parts
+from suspnet.trains.fits.bogie_fit import (
+    ALIGNED,
+    EXPLAINED,
+    commission_bogie,
+    fit_parts,
+    with_further_parts,
+)
 from suspnet.trains.fits.bogie_misfit import BogieMisfit
 from suspnet.trains.fits.bogie_search import SearchEnd, best_end, search, tolerances
 from suspnet.trains.identification.bogie_trips import PARTS_OF_BOGIE
@@ -406,6 +412,30 @@ def test_derivatives_by_the_slopes_are_those_of_differences():
         difference = (ends[0] - ends[1]) / 2e-5
         scale = np.abs(difference).max()
         np.testing.assert_allclose(jacobian[:, column], difference, atol=1e-5 * scale)
+
+
+def test_what_does_not_explain_its_trips_is_given_further_parts(commissioned, monkeypatch):
+    """A soft floor below one sensor of the body, which the family without floors lacks."""
+    monkeypatch.setattr(bogie_fit, "FURTHER_PARTS", ("floors",))
+    richer = VEHICLE.with_parts(("floors",))
+    assert richer.distribution.names[: len(UNCERTAIN)] == VEHICLE.distribution.names
+    trips = []
+    for i, mass in enumerate(MASSES):
+        whole = dict(zip(VEHICLE.columns, row({}, mass)[0].tolist(), strict=True))
+        whole |= {"floor_softness_body_left": 1.4, "floor_softness_body_right": 0.0}
+        ratios_of = torch.tensor([[whole.get(name, 1.0) for name in richer.columns]])
+        trips.append(trip(drawn(richer, ratios_of.double(), i), 70.0))
+    without = commission_bogie(VEHICLE, trips)
+    found = with_further_parts(without, VEHICLE, trips)
+    assert without.misfit > 1.3
+    assert found.misfit == pytest.approx(1, abs=0.1)
+    softness = dict(
+        zip(richer.distribution.names, found.generator.distribution.median, strict=True)
+    )
+    assert softness["floor_softness_body_left"] == pytest.approx(1.4, abs=0.05)
+    assert softness["floor_softness_body_right"] == pytest.approx(0, abs=0.05)
+    # those that explain their trips are given none
+    assert with_further_parts(commissioned, VEHICLE, trips) is commissioned
 
 
 @pytest.mark.parametrize(
