@@ -77,7 +77,7 @@ Row = dict[str, Tensor | float]
 TORSION_MASS = 0.2
 """Modal mass of the torsion over the frame's mass."""
 LEAST_COMPLIANCE = 1e-13
-"""Least compliance of a track that counts as other than rigid, [m/N]; springs have 1e-7 and more."""
+"""Least compliance of a track that counts as other than rigid, [m/N]; springs have 1e-7."""
 SIGNS = {"left": 1.0, "right": -1.0, "middle": 0.0}
 """Lateral place of a side in units of that of the left one."""
 
