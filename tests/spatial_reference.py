@@ -122,7 +122,7 @@ class Train:
     def carry(self):
         """Add the track under each rail, between a point of the wheelset and the rail's height."""
         n = self.n
-        kappa = (n["track_stiffness"] + n["track_damping"] * self.s) / 2
+        kappa = (1 + n["track_time"] * self.s) / n["track_compliance"] / 2
         for wheel, body in enumerate(WHEELSETS):
             for y in (RAIL_M, -RAIL_M):
                 at, rail = moved(body, [0, y, 0], Z), np.zeros(INPUTS)

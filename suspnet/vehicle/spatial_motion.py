@@ -76,6 +76,8 @@ Row = dict[str, Tensor | float]
 """Factors of coordinates and inputs by name, numbers or tensors of shape (n_vehicles, 1)."""
 TORSION_MASS = 0.2
 """Modal mass of the torsion over the frame's mass."""
+LEAST_COMPLIANCE = 1e-13
+"""Least compliance of a track that counts as other than rigid, [m/N]; springs have 1e-7."""
 SIGNS = {"left": 1.0, "right": -1.0, "middle": 0.0}
 """Lateral place of a side in units of that of the left one."""
 
@@ -194,7 +196,11 @@ def _roll(parts: Sequence[str], wheel: int) -> str:
 
 def _carried(p: Mapping[str, Tensor]) -> list[Joint]:
     """Return the track under each rail of a wheelset."""
-    rail = Element(p["track_stiffness"], p["track_damping"]).times(0.5)
+    # 0 is rigid; a search may step to either side of it
+    compliance = p["track_compliance"]
+    least = torch.where(compliance < 0, -LEAST_COMPLIANCE, LEAST_COMPLIANCE)
+    stiffness = 1 / torch.where(compliance.abs() < LEAST_COMPLIANCE, least, compliance)
+    rail = Element(stiffness, p["track_time"] * stiffness).times(0.5)
     joints = []
     for wheel in range(1, 5):
         for aside in (RAIL_LATERAL_M, -RAIL_LATERAL_M):

@@ -38,7 +38,6 @@ from suspnet.vehicle.quantities import IN_BETWEEN, PLACES
 PARTS_OF_BOGIE = (
     *("bushings", "rubber", "guidance", "longitudinal", "bending", "payload", "sensors"),
     *("frame_sway", "frame_yaw", "body_yaw", "creep", "torsion", "yaw_dampers"),
-    "track",
 )
 """What a vehicle whose parts are read may have besides rigid bodies on springs and dampers."""
 SHARED = ("bogie", "axle", "frame_sensor", "body_sensor_m", "nominal")
