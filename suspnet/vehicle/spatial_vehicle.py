@@ -209,7 +209,7 @@ class SpatialVehicle(VehicleFamily):
 
         The inputs are the height of the track under wheelsets 1 to 4 [m], its angle [rad] and, if
         `inputs` has it, its alignment [m]; the outputs are the sensors. Sensitivity and delay of
-        sensors, and what excites single wheelsets, are no part of it.
+        sensors, floors below them, and what excites single wheelsets, are no part of it.
         """
         return spatial_motion(self._layout, self._numbers(as_tensor(ratios)[None]), self._places)
 
