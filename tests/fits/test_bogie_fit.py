@@ -416,7 +416,7 @@ def test_derivatives_by_the_slopes_are_those_of_differences():
 
 def test_what_does_not_explain_its_trips_is_given_further_parts(commissioned, monkeypatch):
     """A soft floor below one sensor of the body, which the family without floors lacks."""
-    monkeypatch.setattr(bogie_fit, "FURTHER_PARTS", ("floors",))
+    monkeypatch.setattr(bogie_fit, "FURTHER_PARTS", (("floors",), ("track",)))
     richer = VEHICLE.with_parts(("floors",))
     assert richer.distribution.names[: len(UNCERTAIN)] == VEHICLE.distribution.names
     trips = []
