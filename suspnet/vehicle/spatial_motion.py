@@ -63,10 +63,10 @@ from suspnet.vehicle.vertical_motion import (
     Layout,
     assembled,
     behind_of,
-    bending_element,
     guidance_element,
     lateral_element,
     links_of,
+    mode_element,
     primary_element,
     secondary_element,
 )
@@ -145,16 +145,16 @@ def acting(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
     parts = layout.parts
     joints = [*_suspensions(layout, p), *_linked(layout, p)]
     if "bending" in parts:
-        joints.append(Joint(bending_element(p, layout.empty_body_kg).times(2), {"q": 1.0}))
+        joints.append(Joint(mode_element(p, "bending", 2 * layout.empty_body_kg), {"q": 1.0}))
     if "second_bending" in parts:
-        joints.append(Joint(_mode(p, "second", 2 * layout.empty_body_kg), {"q_b": 1.0}))
+        joints.append(Joint(mode_element(p, "second", 2 * layout.empty_body_kg), {"q_b": 1.0}))
     if "body_torsion" in parts:
         inertia = 4 * layout.empty_body_kg * p["body_roll_gyration"] ** 2
-        joints.append(Joint(_mode(p, "twist", inertia), {"tau_b": 1.0}))
+        joints.append(Joint(mode_element(p, "twist", inertia), {"tau_b": 1.0}))
     if "equipment" in parts:
         joints.append(_hung(layout, p))
     if "torsion" in parts:
-        torsion = _mode(p, "torsion", 2 * p["bogie_mass"] * TORSION_MASS)
+        torsion = mode_element(p, "torsion", 2 * p["bogie_mass"] * TORSION_MASS)
         joints += [Joint(torsion, {f"tau_{i}": 1.0}) for i in "12"]
     if "track" in parts:
         joints += _carried(p)
@@ -165,18 +165,12 @@ def acting(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
     return joints
 
 
-def _mode(p: Mapping[str, Tensor], name: str, mass: Tensor | float) -> Element:
-    """Return the stiffness and damping of a mode of this mass alone."""
-    own = 2 * math.pi * p[f"{name}_frequency"]
-    return Element(mass * own**2, 2 * p[f"{name}_damping"] * mass * own)
-
-
 def _hung(layout: Layout, p: Mapping[str, Tensor]) -> Joint:
     """Return what holds the equipment below the floor."""
     ahead = p["equipment_ahead"] / p["half_pivot_distance"]
     body: Row = {"z": -1.0, "phi": -ahead, "theta": -p["equipment_aside"]}
     bent: Row = {"q": -p["equipment_at_bending"]}
-    return Joint(_mode(p, "equipment", _hung_kg(layout, p)), {"z_e": 1.0, **body, **bent})
+    return Joint(mode_element(p, "equipment", _hung_kg(layout, p)), {"z_e": 1.0, **body, **bent})
 
 
 def _body_roll(p: Mapping[str, Tensor], sigma: float, factor: Tensor | float) -> Row:

@@ -248,10 +248,10 @@ def lateral_element(p: Mapping[str, Tensor]) -> Element:
     return Element(p["lateral_stiffness"], p["lateral_damping"])
 
 
-def bending_element(p: Mapping[str, Tensor], empty_kg: float) -> Element:
-    """Return the body's first bending per modal mass of M_s; payload does not stiffen it."""
-    omega = 2 * math.pi * p["bending_frequency"]
-    return Element(empty_kg * omega**2, 2 * p["bending_damping"] * empty_kg * omega)
+def mode_element(p: Mapping[str, Tensor], name: str, mass: Tensor | float) -> Element:
+    """Return what holds a mode of this modal mass; with that when empty, payload stiffens none."""
+    omega = 2 * math.pi * p[f"{name}_frequency"]
+    return Element(mass * omega**2, 2 * p[f"{name}_damping"] * mass * omega)
 
 
 def laden(p: dict[str, Tensor], empty_kg: float) -> dict[str, Tensor]:
@@ -292,7 +292,7 @@ def vertical_motion(layout: Layout, p: Mapping[str, Tensor]) -> LinearSystem:
     vehicle = _Vehicle(p, n, parts, e)
     acting = [*vehicle.suspensions(), *vehicle.links(forward)]
     if "bending" in parts:
-        acting.append(Acting(bending_element(p, layout.empty_body_kg), e["q"]))
+        acting.append(Acting(mode_element(p, "bending", layout.empty_body_kg), e["q"]))
     if "roll" in parts:
         acting += vehicle.rolling()
     # the measured points: of the frame in the middle or above an axle, of the body near the bogie

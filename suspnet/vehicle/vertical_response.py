@@ -48,10 +48,10 @@ from suspnet.vehicle.track import CROSS_LEVEL_RAD_PER_M
 from suspnet.vehicle.vertical_motion import (
     RAIL_LATERAL_M,
     Layout,
-    bending_element,
     guidance_element,
     lateral_element,
     links_of,
+    mode_element,
     primary_element,
     secondary_element,
 )
@@ -282,7 +282,7 @@ def _bogie(
 
 def _modal(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
     """Return the dynamic stiffness of the body's free bending, its modal mass included."""
-    element = bending_element(p, layout.empty_body_kg)
+    element = mode_element(p, "bending", layout.empty_body_kg)
     return element.at(omega) - p["M_s"] * omega**2
 
 
