@@ -27,8 +27,10 @@ ADDRESS = re.compile(r'(?:href|src|action|data-state)="([^"#]+)"')
 
 
 @pytest.fixture(scope="module")
-def site(filled):
-    with served(filled[0], 3600.0, prefix=PREFIX) as (address, refresher):
+def site(filled, tmp_path_factory):
+    path = tmp_path_factory.mktemp("served") / "fleet.db"  # one test acknowledges an alarm
+    path.write_bytes(filled[0].read_bytes())
+    with served(path, 3600.0, prefix=PREFIX) as (address, refresher):
         assert until(lambda: refresher.board.view.is_complete, 60)
         yield address
 
