@@ -15,10 +15,11 @@ from pathlib import Path
 
 import numpy as np
 from cells import Parser, Row
+from feature_information import feature_information
 from tabulate import tabulate
 
 from suspnet import Problem, TrainedModel, load_model
-from suspnet.bounds.information import cramer_rao, feature_information, output_bounds, over_bound
+from suspnet.bounds.information import cramer_rao, output_bounds, over_bound
 from suspnet.curves.problem import TEST
 from suspnet.ground.storage import read_json, write_atomically
 from suspnet.runs.tables import in_digits, records_csv

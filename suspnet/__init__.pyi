@@ -2,10 +2,7 @@
 
 from suspnet._version import __version__ as __version__
 from suspnet.bounds.information import cramer_rao as cramer_rao
-from suspnet.bounds.information import feature_information as feature_information
 from suspnet.bounds.information import fisher_information as fisher_information
-from suspnet.bounds.sensor_information import recording_information as recording_information
-from suspnet.bounds.sensor_information import sensor_places as sensor_places
 from suspnet.cli.kinds import read_protocol as read_protocol
 from suspnet.cli.kinds import read_vehicles as read_vehicles
 from suspnet.cli.plugins import register_features as register_features

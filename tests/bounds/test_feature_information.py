@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 import torch
 
-from suspnet.bounds.information import FEATURE_ROWS, feature_information, fisher_information
+from suspnet.bounds.information import fisher_information
 from suspnet.curves.curves import CurveObserver, CurveSettings
 from suspnet.curves.extraction import FeatureTable, PeakFeatures
 from suspnet.vehicle import PARAMETERS
 
+of_features = pytest.importorskip("feature_information", reason="needs benchmarks")
+feature_information, FEATURE_ROWS = of_features.feature_information, of_features.FEATURE_ROWS
 SETTINGS = CurveSettings(step_hz=0.05, n_test=48, n_train=600, n_calibrate=None)
 MIXING = torch.as_tensor(np.random.default_rng(0).normal(size=(5, 8)))
 SCATTER = torch.as_tensor(np.random.default_rng(1).normal(size=(8, 8))) / 10
