@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -19,7 +20,7 @@ from sklearn.metrics.pairwise import rbf_kernel
 from sklearn.utils.validation import check_is_fitted
 from torch import Tensor
 
-from suspnet.ground.settings import Setting, check_values
+from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.types import FloatArray
 from suspnet.learning.least_squares import (
     BEYOND,
@@ -39,10 +40,9 @@ RULED_OUT = 10.0
 """A model whose cost after the first search exceeds the least one by this factor is ruled out."""
 PREDICT_ROWS = 1024
 """Rows predicted at once, so that their kernel fits into memory."""
-C_SETTING = Setting("Penalty of residuals outside the tube, as tuned for the group", above=0)
-SIGMA_SETTING = Setting("Width of the kernel exp(-|x - z|²/sigma²)", "scaled inputs", above=0)
 
 
+@dataclass(repr=False, eq=False)
 class SVR(Regressor):
     """One epsilon-insensitive support vector regression for each output (scikit-learn's libsvm).
 
@@ -55,46 +55,30 @@ class SVR(Regressor):
     `converged_`; it warns with ConvergenceWarning if `tol` was not reached.
     """
 
-    settings: ClassVar[Mapping[str, Setting]] = {
-        "C": C_SETTING,
-        "sigma": SIGMA_SETTING,
-        "epsilon": Setting(
-            "Half width of the tube within which residuals cost nothing", "scaled outputs", low=0
-        ),
-        "tol": Setting("Stopping tolerance of libsvm", above=0),
-        "max_iter": Setting(
-            "Number of libsvm's iterations for each output after which it gives up", low=1
-        ),
-        "cache_size_mb": Setting("Size of libsvm's kernel cache for each output", "MB", above=0),
-        "n_jobs": Setting(
-            "Number of outputs that are fitted at the same time, in threads; -1 is one for each "
-            "core",
-            rule="whole number; not 0",
-        ),
-        "callback": Setting(
-            "Function called after each output, which train.py sets itself", rule="null"
-        ),
-    }
-
-    def __init__(
-        self,
-        C: float = 10.0,
-        sigma: float = 3.0,
-        epsilon: float = 1e-3,
-        tol: float = 1e-3,
-        max_iter: int = 10_000_000,
-        cache_size_mb: float = 400.0,
-        n_jobs: int | None = 2,
-        callback: Callable[[int], None] | None = None,
-    ) -> None:
-        self.C = C
-        self.sigma = sigma
-        self.epsilon = epsilon
-        self.tol = tol
-        self.max_iter = max_iter
-        self.cache_size_mb = cache_size_mb
-        self.n_jobs = n_jobs
-        self.callback = callback
+    C: float = setting(
+        10.0, "Penalty of residuals outside the tube, as tuned for the group", above=0
+    )
+    sigma: float = setting(
+        3.0, "Width of the kernel exp(-|x - z|²/sigma²)", "scaled inputs", above=0
+    )
+    epsilon: float = setting(
+        1e-3, "Half width of the tube within which residuals cost nothing", "scaled outputs", low=0
+    )
+    tol: float = setting(1e-3, "Stopping tolerance of libsvm", above=0)
+    max_iter: int = setting(
+        10_000_000, "Number of libsvm's iterations for each output after which it gives up", low=1
+    )
+    cache_size_mb: float = setting(
+        400.0, "Size of libsvm's kernel cache for each output", "MB", above=0
+    )
+    n_jobs: int | None = setting(
+        2,
+        "Number of outputs that are fitted at the same time, in threads; -1 is one for each core",
+        rule="whole number; not 0",
+    )
+    callback: Callable[[int], None] | None = setting(
+        None, "Function called after each output, which train.py sets itself", rule="null"
+    )
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
         """Fit one machine for each column of `y`, (n_samples,) or (n_samples, n_outputs)."""
@@ -171,6 +155,7 @@ def _kernel_expansion(
     return expansion
 
 
+@dataclass(repr=False, eq=False)
 class KernelRidge(Regressor):
     """Kernel ridge regression (scikit-learn's), which MSVR is without a tube.
 
@@ -179,14 +164,10 @@ class KernelRidge(Regressor):
     (n_samples, n_outputs), ``X_fit_`` (n_samples, n_inputs) and ``intercept_`` (n_outputs,).
     """
 
-    settings: ClassVar[Mapping[str, Setting]] = {
-        "C": Setting("Penalty of residuals, as tuned for the group", above=0),
-        "sigma": SIGMA_SETTING,
-    }
-
-    def __init__(self, C: float = 100.0, sigma: float = 3.0) -> None:
-        self.C = C
-        self.sigma = sigma
+    C: float = setting(100.0, "Penalty of residuals, as tuned for the group", above=0)
+    sigma: float = setting(
+        3.0, "Width of the kernel exp(-|x - z|²/sigma²)", "scaled inputs", above=0
+    )
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
         """Fit to samples (n_samples, n_inputs) and outputs (n_samples,) or (.., n_outputs)."""
@@ -254,26 +235,25 @@ class LinearRegression(MethodFlags, linear_model.LinearRegression):  # type: ign
         return self
 
 
+@dataclass(repr=False, eq=False)
 class CurveFit(MethodFlags, BaseEstimator):  # type: ignore[misc]
     """Least-squares fit of a model's curves, started from the nearest of a set of Sobol points."""
 
-    settings: ClassVar[Mapping[str, Setting]] = {
-        "n_starts": Setting(
-            "Number of points scattered over the parameter range; the one with the nearest curves "
-            "is the start of the fit",
-            low=1,
-        ),
-        "max_iter": Setting("Largest number of Levenberg-Marquardt iterations", low=1),
-        "tol": Setting("Change of every log-parameter below which the fit has converged", above=0),
-    }
+    n_starts: int = setting(
+        512,
+        "Number of points scattered over the parameter range; the one with the nearest curves "
+        "is the start of the fit",
+        low=1,
+    )
+    max_iter: int = setting(100, "Largest number of Levenberg-Marquardt iterations", low=1)
+    tol: float = setting(
+        1e-8, "Change of every log-parameter below which the fit has converged", above=0
+    )
 
     works_on_curves: ClassVar[bool] = True
 
-    def __init__(self, n_starts: int = 512, max_iter: int = 100, tol: float = 1e-8) -> None:
-        check_values(CurveFit, n_starts=n_starts, max_iter=max_iter, tol=tol)
-        self.n_starts = n_starts
-        self.max_iter = max_iter
-        self.tol = tol
+    def __post_init__(self) -> None:
+        check_settings(self)
 
     def state(self) -> dict[str, FloatArray]:
         """Return no arrays: the method has parameters only."""

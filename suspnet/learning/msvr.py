@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 import torch
@@ -15,7 +15,7 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import validate_data
 from torch import Tensor
 
-from suspnet.ground.settings import Setting, check_number, check_settings
+from suspnet.ground.settings import check_number, check_settings, setting
 from suspnet.ground.tensors import as_tensor, check_device
 from suspnet.ground.types import FloatArray
 from suspnet.learning.design import DenseDesign, Design
@@ -66,6 +66,7 @@ MAPS = {
 """Every feature map by name; a new one is added here."""
 
 
+@dataclass(repr=False, eq=False)
 class MSVR(Regressor):
     """Multi-output support vector regression with a hyperspherical epsilon-insensitive loss.
 
@@ -77,11 +78,11 @@ class MSVR(Regressor):
     kernel ``exp(-|x - z|^2 / sigma^2)``, i.e. scikit-learn's gamma = 1 / sigma^2. Scale inputs and
     outputs first, e.g. with `suspnet.learning.Scaling`.
 
-    `settings` has the meaning of each argument. In scikit-learn's words, sigma is a width in units
-    of the inputs, "scale" as its ``gamma="scale"``: sqrt(n) for n standardised inputs. At epsilon =
-    0 and without intercept C is ``alpha = 1 / (2 C)`` of ``KernelRidge``; ``SVR`` has an absolute
-    loss. A tube (epsilon, in units of the outputs) that contains many samples needs tens to
-    hundreds of iterations, a narrow one a few.
+    In scikit-learn's words, sigma is a width in units of the inputs, "scale" as its
+    ``gamma="scale"``: sqrt(n) for n standardised inputs. At epsilon = 0 and without intercept C is
+    ``alpha = 1 / (2 C)`` of ``KernelRidge``; ``SVR`` has an absolute loss. A tube (epsilon, in
+    units of the outputs) that contains many samples needs tens to hundreds of iterations, a narrow
+    one a few.
 
     The time of an iteration grows with the cube of the number of features; the memory of `exact`
     with the square of the number of samples.
@@ -106,79 +107,54 @@ class MSVR(Regressor):
     (True, True)
     """
 
-    settings: ClassVar[Mapping[str, Setting]] = {
-        "C": Setting("Penalty of residuals outside the tube, as tuned for the group", above=0),
-        "sigma": Setting(
-            "Width of the kernel exp(-|x - z|²/sigma²)", rule="scaled inputs; above 0; or scale"
-        ),
-        "epsilon": Setting(
-            "Radius of the tube within which residuals cost nothing", "scaled outputs", low=0
-        ),
-        "feature_map": Setting(
-            "Approximation of the kernel: random Fourier features, orthogonal ones, Nystroem "
-            "landmarks, modes on a grid (three inputs at most), or the kernel itself (memory as "
-            "data.n_train squared)"
-        ),
-        "n_components": Setting(
-            "Number of features of rff and orf (rounded up to an even number), and largest number "
-            "of nystroem",
-            low=1,
-        ),
-        "kernel_tol": Setting(
-            "Error of the kernel that equispaced may make, and at which nystroem stops adding "
-            "landmarks",
-            above=0,
-        ),
-        "fit_intercept": Setting("Whether to fit an intercept, which is not penalised"),
-        "max_iter": Setting(
-            "Number of iterations after which the solver warns that it has not converged", low=1
-        ),
-        "tol": Setting(
-            "Relative distance of the objective from its minimum, proven, at which the solver "
-            "stops",
-            low=0,
-        ),
-        "random_state": Setting(
-            "Seed of the random features or landmarks", rule="whole number; 0 to 4294967295"
-        ),
-        "solver": Setting(
-            "Algorithm: that of the paper as printed, or a faster one with the same minimum"
-        ),
-        "device": Setting("Device of the fit; equispaced runs on the CPU only", rule="cpu or cuda"),
-        "callback": Setting(
-            "Function called after each iteration, which train.py sets itself", rule="null"
-        ),
-    }
-
-    def __init__(
-        self,
-        C: float = 100.0,
-        sigma: float | Literal["scale"] = 3.0,
-        epsilon: float = 1e-3,
-        feature_map: Literal["rff", "orf", "nystroem", "equispaced", "exact"] = "rff",
-        n_components: int = 1024,
-        kernel_tol: float = 1e-6,
-        fit_intercept: bool = True,
-        max_iter: int = 1000,
-        tol: float = 1e-8,
-        random_state: Any = 0,
-        solver: Literal["newton", "irwls"] = "newton",
-        device: str = "cpu",
-        callback: Callable[[Iteration], None] | None = None,
-    ) -> None:
-        self.C = C
-        self.sigma = sigma
-        self.epsilon = epsilon
-        self.feature_map = feature_map
-        self.n_components = n_components
-        self.kernel_tol = kernel_tol
-        self.fit_intercept = fit_intercept
-        self.max_iter = max_iter
-        self.tol = tol
-        self.random_state = random_state
-        self.solver = solver
-        self.device = device
-        self.callback = callback
+    C: float = setting(
+        100.0, "Penalty of residuals outside the tube, as tuned for the group", above=0
+    )
+    sigma: float | Literal["scale"] = setting(
+        3.0, "Width of the kernel exp(-|x - z|²/sigma²)", rule="scaled inputs; above 0; or scale"
+    )
+    epsilon: float = setting(
+        1e-3, "Radius of the tube within which residuals cost nothing", "scaled outputs", low=0
+    )
+    feature_map: Literal["rff", "orf", "nystroem", "equispaced", "exact"] = setting(
+        "rff",
+        "Approximation of the kernel: random Fourier features, orthogonal ones, Nystroem "
+        "landmarks, modes on a grid (three inputs at most), or the kernel itself (memory as "
+        "data.n_train squared)",
+    )
+    n_components: int = setting(
+        1024,
+        "Number of features of rff and orf (rounded up to an even number), and largest number "
+        "of nystroem",
+        low=1,
+    )
+    kernel_tol: float = setting(
+        1e-6,
+        "Error of the kernel that equispaced may make, and at which nystroem stops adding "
+        "landmarks",
+        above=0,
+    )
+    fit_intercept: bool = setting(True, "Whether to fit an intercept, which is not penalised")
+    max_iter: int = setting(
+        1000, "Number of iterations after which the solver warns that it has not converged", low=1
+    )
+    tol: float = setting(
+        1e-8,
+        "Relative distance of the objective from its minimum, proven, at which the solver stops",
+        low=0,
+    )
+    random_state: Any = setting(
+        0, "Seed of the random features or landmarks", rule="whole number; 0 to 4294967295"
+    )
+    solver: Literal["newton", "irwls"] = setting(
+        "newton", "Algorithm: that of the paper as printed, or a faster one with the same minimum"
+    )
+    device: str = setting(
+        "cpu", "Device of the fit; equispaced runs on the CPU only", rule="cpu or cuda"
+    )
+    callback: Callable[[Iteration], None] | None = setting(
+        None, "Function called after each iteration, which train.py sets itself", rule="null"
+    )
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
         """Fit to samples (n_samples, n_inputs) and outputs (n_samples,) or (.., n_outputs)."""

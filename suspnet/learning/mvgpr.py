@@ -16,7 +16,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_random_state
 from torch import Tensor
 
-from suspnet.ground.settings import Setting
+from suspnet.ground.settings import setting
 from suspnet.ground.tensors import as_tensor, check_device
 from suspnet.ground.types import FloatArray
 from suspnet.learning.design import cholesky
@@ -56,6 +56,7 @@ class LikelihoodEvaluation:
     noise_to_signal: float
 
 
+@dataclass(repr=False, eq=False)
 class MVGPR(Regressor):
     """Gaussian process with the covariance Omega x (sigma_f^2 exp(-d^2/(2 l^2)) + sigma_n^2 I).
 
@@ -63,7 +64,7 @@ class MVGPR(Regressor):
     the same factor and dividing Omega by it changes nothing, so optimised values are reported with
     the mean of Omega's diagonal equal to 1. The mean of the outputs is subtracted.
 
-    `settings` has the meaning of each argument. Without an `optimizer` the three values are used as
+    Without an `optimizer` the three values are used as
     they are; linearly dependent outputs are also fitted without it, as their likelihood is
     unbounded. Further starts are drawn log-uniformly from Table V's ranges. `callback` gets a
     ``LikelihoodEvaluation`` after each evaluation.
@@ -75,67 +76,47 @@ class MVGPR(Regressor):
     that start did not converge.
     """
 
-    settings: ClassVar[Mapping[str, Setting]] = {
-        "length_scale": Setting(
-            "Length scale l of the kernel, or the optimiser's first start", "scaled inputs", above=0
-        ),
-        "signal_variance": Setting(
-            "Variance of the signal, sigma_f², or the optimiser's first start",
-            "scaled outputs²",
-            above=0,
-        ),
-        "noise_variance": Setting(
-            "Variance of the noise, sigma_n², or the optimiser's first start",
-            "scaled outputs²",
-            above=0,
-        ),
-        "optimizer": Setting(
-            "Whether to maximise the marginal likelihood over the three values above; null takes "
-            "them as they are"
-        ),
-        "n_restarts": Setting("Number of further random starts of the optimiser", low=0),
-        "n_optimize": Setting(
-            "Number of training curves on which the likelihood is maximised; the fit uses all",
-            low=2,
-        ),
-        "max_iter": Setting("Largest number of L-BFGS iterations of each start", low=1),
-        "random_state": Setting(
-            "Seed of the starts and of the curves of the optimisation",
-            rule="whole number; 0 to 4294967295",
-        ),
-        "device": Setting("Device of the fit", rule="cpu or cuda"),
-        "callback": Setting(
-            "Function called after each evaluation, which train.py sets itself", rule="null"
-        ),
-    }
-
-    _kept_factor: Tensor | None
+    length_scale: float = setting(
+        3.0,
+        "Length scale l of the kernel, or the optimiser's first start",
+        "scaled inputs",
+        above=0,
+    )
+    signal_variance: float = setting(
+        1.0,
+        "Variance of the signal, sigma_f², or the optimiser's first start",
+        "scaled outputs²",
+        above=0,
+    )
+    noise_variance: float = setting(
+        1e-3,
+        "Variance of the noise, sigma_n², or the optimiser's first start",
+        "scaled outputs²",
+        above=0,
+    )
+    optimizer: Literal["marginal_likelihood"] | None = setting(
+        "marginal_likelihood",
+        "Whether to maximise the marginal likelihood over the three values above; null takes "
+        "them as they are",
+    )
+    n_restarts: int = setting(2, "Number of further random starts of the optimiser", low=0)
+    n_optimize: int = setting(
+        1000,
+        "Number of training curves on which the likelihood is maximised; the fit uses all",
+        low=2,
+    )
+    max_iter: int = setting(100, "Largest number of L-BFGS iterations of each start", low=1)
+    random_state: Any = setting(
+        0,
+        "Seed of the starts and of the curves of the optimisation",
+        rule="whole number; 0 to 4294967295",
+    )
+    device: str = setting("cpu", "Device of the fit", rule="cpu or cuda")
+    callback: Callable[[LikelihoodEvaluation], None] | None = setting(
+        None, "Function called after each evaluation, which train.py sets itself", rule="null"
+    )
 
     gives_deviations: ClassVar[bool] = True
-
-    def __init__(
-        self,
-        length_scale: float = 3.0,
-        signal_variance: float = 1.0,
-        noise_variance: float = 1e-3,
-        optimizer: Literal["marginal_likelihood"] | None = "marginal_likelihood",
-        n_restarts: int = 2,
-        n_optimize: int = 1000,
-        max_iter: int = 100,
-        random_state: Any = 0,
-        device: str = "cpu",
-        callback: Callable[[LikelihoodEvaluation], None] | None = None,
-    ) -> None:
-        self.length_scale = length_scale
-        self.signal_variance = signal_variance
-        self.noise_variance = noise_variance
-        self.optimizer = optimizer
-        self.n_restarts = n_restarts
-        self.n_optimize = n_optimize
-        self.max_iter = max_iter
-        self.random_state = random_state
-        self.device = device
-        self.callback = callback
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
         """Fit to samples (n_samples, n_inputs) and outputs (n_samples,) or (.., n_outputs)."""
@@ -209,7 +190,7 @@ class MVGPR(Regressor):
             raise ValueError(f"weights have shape {self.weights_.shape}, mean {self.mean_.shape}")
         self.length_scale_, self.signal_variance_, self.noise_variance_ = map(float, kernel)
         self.n_features_in_ = self._samples.shape[1]
-        self._kept_factor = None
+        self._kept_factor: Tensor | None = None
         return self
 
     def _kernel(self, X: Tensor, Z: Tensor) -> Tensor:
