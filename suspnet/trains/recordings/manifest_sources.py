@@ -357,8 +357,7 @@ class SensorSource(FileSource):
     range: float | None = optional(
         positive,
         "number above 0",
-        "largest magnitude that the sensor can measure, to detect saturation; full scale of "
-        "integers in WAV files",
+        "largest magnitude that the sensor can measure, to detect saturation",
         "the channel's",
         "unknown",
     )

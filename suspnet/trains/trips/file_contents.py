@@ -251,7 +251,7 @@ class Signal:
     or the file states the rate, and `time_unit` their unit if only their column's name states it.
     `names` serve to guess its meaning: its own, with and without its group's, and that of a file
     with at most two columns or with columns that name no channel. `first` is the first sample.
-    `axle` is 1 or 2 of the bogie where the user stated it, else 0; `range` is NaN unless stated.
+    `axle` is 1 or 2 of the bogie where the user stated it, else 0.
     """
 
     file: Path
@@ -263,7 +263,6 @@ class Signal:
     names: tuple[str, ...] = ()
     first: float = np.nan
     axle: int = 0
-    range: float = np.nan
 
     @property
     def name(self) -> str:
