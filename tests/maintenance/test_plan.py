@@ -114,7 +114,6 @@ def test_part_of_unknown_life_is_unknown_and_comes_before_all_others():
     for row in rows[:3]:
         assert row["unknown"] == WHY
         assert np.isnan(row["probability"])
-        assert row["passing_from"] == ""
     assert [row["day"] != "" for row in rows] == [False, False, True, True]
     assert found.summary.startswith("2 parts unknown, 1 visit with 2 jobs")
     assert [row["parameters"] for row in joined(rows)] == [["c_p", "k_p"], ["c_p"], ["c_p"]]
@@ -213,8 +212,6 @@ def test_rows_say_where_what_and_until_when():
         "day": "2027-06-09",
         "decide_by": "2027-05-26",
         "mileage_km": 199_500,
-        "passing_from": "2027-06-10",
-        "passing_to": "2027-06-10",
     }
     row = plan.rows()[0]
     assert {name: row[name] for name in expected} == expected

@@ -24,7 +24,6 @@ from suspnet.ground.parameters import ESTIMATED, Severity, part_words
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import thousands
-from suspnet.trains.maintenance.life import SHOWN_LEVEL
 from suspnet.trains.maintenance.state import WINDOW_DAYS, State
 
 URGENCIES = UNKNOWN, NOW, SOON, LATER = "unknown", "now", "soon", "later"
@@ -41,6 +40,8 @@ REACH_KM = 50_000.0
 """Mileage after a visit within which a part that is likely to pass its limit is replaced."""
 NOTICE_DAYS = 90.0
 """Days within which a notice is inspected if no limit is predicted to be passed."""
+PASSED = 0.9
+"""Least share of samples in which a limit is passed already for it to count as passed."""
 MOST_NAMED = 3
 """Largest number of trains that a sentence names."""
 
@@ -131,19 +132,13 @@ class Job:
     """Work on one part at a visit, or a part of unknown remaining life without one.
 
     `what` is replace, inspect, or "unknown" without a visit. `probability` is that of passing the
-    limit before the visit; `passing_days` is the interval in which it is passed, in days from
-    today, inf: never. Both are NaN if the remaining life is unknown.
+    limit before the visit, NaN if the remaining life is unknown; `is_passed` whether it is already.
     """
 
     part: Part
     what: str
     probability: float
-    passing_days: tuple[float, float]
-
-    @property
-    def is_passed(self) -> bool:
-        """Whether the limit has certainly been passed already."""
-        return bool((self.part.samples_km == 0).all()) or self.passing_days == (0.0, 0.0)
+    is_passed: bool = False
 
     @property
     def order(self) -> tuple[bool, float, str]:
@@ -182,9 +177,9 @@ class Plan:
 
     `visits` are sorted: those for parts of unknown remaining life first, then by day. `unknown` are
     parts without a visit whose remaining life is unknown; `n_quiet` counts the other parts, which
-    need nothing before the horizon. `level` is the probability of the interval
-    ``Job.passing_days``. The mileage per day of trains in `assumed` is assumed; the newest trip of
-    those in `stale` is too old to plan by, so that the lives of their parts are unknown.
+    need nothing before the horizon. The mileage per day of trains in `assumed` is assumed; the
+    newest trip of those in `stale` is too old to plan by, so that the lives of their parts are
+    unknown.
     """
 
     today: date
@@ -194,7 +189,6 @@ class Plan:
     n_quiet: int
     assumed: tuple[Train, ...] = ()
     stale: tuple[Train, ...] = ()
-    level: float = SHOWN_LEVEL
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one flat row for each job, unknown parts first, then by visit.
@@ -222,14 +216,7 @@ class Plan:
             "decide_by": visit.decide_by.isoformat() if visit else "",
             "mileage_km": round(km) if math.isfinite(km) else km,
             "probability": job.probability,
-            "passing_from": self._day_after(job.passing_days[0]),
-            "passing_to": self._day_after(job.passing_days[1]),
         }
-
-    def _day_after(self, days: float) -> str:
-        """Return the date `days` after today; empty if it is unknown or exceeds ``date.max``."""
-        is_day = days < (date.max - self.today).days
-        return (self.today + timedelta(days=days)).isoformat() if is_day else ""
 
     @property
     def summary(self) -> str:
@@ -364,11 +351,10 @@ class _Calendar:
     def job(self, part: Part, what: str, day: float) -> Job:
         """Return the job on a part until a day."""
         if part.unknown:
-            return Job(part, what, np.nan, (np.nan, np.nan))
-        samples, tail = self._to_go(part), (1 - SHOWN_LEVEL) / 2
-        ends = np.quantile(samples, [tail, 1 - tail], method="inverted_cdf") / self.train.km_per_day
+            return Job(part, what, np.nan, bool((part.samples_km == 0).all()))
+        samples = self._to_go(part)
         probability = float((samples <= self.train.km_per_day * day).mean())
-        return Job(part, what, probability, (float(ends[0]), float(ends[1])))
+        return Job(part, what, probability, bool((samples == 0).mean() >= PASSED))
 
     def visit(self, days: int, parts: Sequence[Part]) -> Visit:
         """Return the visit after some days at which these parts are done."""
