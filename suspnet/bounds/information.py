@@ -5,8 +5,6 @@ J the derivative of the curves in units of their noise (`suspnet.curves.expected
 Gaussian error has MAPE = sqrt(2 / pi) times its relative standard deviation.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 

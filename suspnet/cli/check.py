@@ -1,7 +1,5 @@
 """Check manifests and recordings, with a model or without: suspnet check DIR ..."""
 
-from __future__ import annotations
-
 from argparse import Namespace
 from collections.abc import Container, Sequence
 from datetime import datetime

@@ -3,8 +3,6 @@
 Nothing is imported here that takes time: a program is imported when it is started.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from difflib import get_close_matches

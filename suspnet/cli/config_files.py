@@ -5,8 +5,6 @@ its unit and range in brackets: ``# Length of a trip [min; above 0]``. The first
 describes the file.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 from pathlib import Path

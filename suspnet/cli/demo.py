@@ -1,7 +1,5 @@
 """The demonstration: simulate a train of which a part wears, learn it, read it: suspnet demo."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

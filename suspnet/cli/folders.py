@@ -1,7 +1,5 @@
 """Run folders: their names, and whether a run gets a new one or resumes an earlier one."""
 
-from __future__ import annotations
-
 import logging
 import re
 import sys

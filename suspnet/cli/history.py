@@ -1,7 +1,5 @@
 """Show a history, add maintenance and acknowledgements, write tables: suspnet history STORE ..."""
 
-from __future__ import annotations
-
 import logging
 from argparse import Namespace
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Write manifests from data files, or a vehicle's file: suspnet init DIR | FILE ... | --vehicle."""
 
-from __future__ import annotations
-
 import os
 from argparse import Namespace
 from collections.abc import Sequence

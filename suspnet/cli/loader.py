@@ -5,8 +5,6 @@ learnt and watched. Places to write to, hosts, credentials and Hydra's own setti
 command line, which is the user's.
 """
 
-from __future__ import annotations
-
 import copy
 import os
 import re

@@ -1,7 +1,5 @@
 """Estimate from live frames and store the results: suspnet-monitor run=RUN suspensions=DIR."""
 
-from __future__ import annotations
-
 import logging
 from contextlib import closing, nullcontext
 from pathlib import Path

@@ -3,8 +3,6 @@
 They are parsed before the programs' modules are imported.
 """
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable, Mapping
 from pathlib import Path

@@ -4,8 +4,6 @@ A module is run only if the user names it on the command line, ``--plugin FILE``
 or a model file, which may come from someone else, never names one.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import inspect
 import json

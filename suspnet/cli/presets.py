@@ -1,7 +1,5 @@
 """What the command line of ``suspnet train healthy=DIR`` need not say: the manifests there do."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path

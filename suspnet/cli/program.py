@@ -1,7 +1,5 @@
 """Shared parts of the programs: one-line errors, checked configurations, signals, output."""
 
-from __future__ import annotations
-
 import functools
 import gc
 import logging

@@ -1,7 +1,5 @@
 """Replay recorded trips as frames of live samples: suspnet-replay trips=DIR [KEY=VALUE ...]."""
 
-from __future__ import annotations
-
 import sys
 import time
 from pathlib import Path

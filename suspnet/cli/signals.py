@@ -1,7 +1,5 @@
 """Signals that end a program: at once as long as nothing has begun, later in one line."""
 
-from __future__ import annotations
-
 import signal
 import threading
 from collections.abc import Iterator

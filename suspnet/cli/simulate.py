@@ -1,7 +1,5 @@
 """Write an example fleet with known parameters: suspnet-simulate [KEY=VALUE ...]."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Start of the programs; a signal during their import ends them at once."""
 
-from __future__ import annotations
-
 import functools
 import gc
 import importlib

@@ -3,8 +3,6 @@
 The grammar reads ``trips=a,b`` as two values, ``trips=417_003`` as a number, and refuses umlauts.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Sequence

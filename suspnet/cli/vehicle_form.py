@@ -1,7 +1,5 @@
 """The file of a vehicle to be filled in: each number with what it is and where it is found."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Sequence

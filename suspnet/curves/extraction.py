@@ -5,8 +5,6 @@ primary peaks are therefore defined by their position, below and above the peak 
 at the car body's frequency, near which abs(G_p) has a minimum.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Protocol, Self

@@ -1,7 +1,5 @@
 """Protocols: the parameters that vary, the measured curves and the outputs (Table IV)."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping, Sequence

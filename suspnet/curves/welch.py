@@ -1,7 +1,5 @@
 """Welch's method: windowed, overlapping segments, averaged spectra and transfer functions."""
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_left
 from dataclasses import dataclass

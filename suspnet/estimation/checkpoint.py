@@ -1,7 +1,5 @@
 """Trained models as two files, model.safetensors and model.json, without pickle."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import warnings

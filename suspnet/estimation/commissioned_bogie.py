@@ -1,7 +1,5 @@
 """A bogie as its healthy trips show it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

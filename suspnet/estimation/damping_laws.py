@@ -5,8 +5,6 @@ numbers are fitted where healthy trips differ in what damping depends on; elsewh
 prior.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

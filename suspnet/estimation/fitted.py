@@ -1,7 +1,5 @@
 """A model, and a fitted method with all it needs: task, scaling, generator, calibration."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any

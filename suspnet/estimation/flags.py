@@ -20,8 +20,6 @@ the rms change of its logarithm when curves like the training curves are multipl
 exp(+-sqrt(e) d). It counts as one more standard deviation of the estimate.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

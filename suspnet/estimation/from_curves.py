@@ -1,7 +1,5 @@
 """From observed curves to estimates: regression, refinement on the curve, intervals, flags."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Sequence

@@ -22,8 +22,6 @@ fits them along. s_0 is then the Gauss-Newton deviation, and q the normal distri
 model was calibrated for refined estimates.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

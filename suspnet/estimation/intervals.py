@@ -16,8 +16,6 @@ method it is learnt, by an MSVR from the features to the logarithm of the absolu
 other curves than those that give the scores.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

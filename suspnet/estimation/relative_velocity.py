@@ -23,8 +23,6 @@ all of them (`suspnet.estimation.damping_laws`). Estimates are compared as r and
 give the mean and the uncertainty, which widens the intervals.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -11,8 +11,6 @@ uncertainty of b widens their intervals with abs(T - T_0). Springs change by a t
 left alone.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self

@@ -1,7 +1,5 @@
 """How trips are read."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from suspnet.ground.records import INTERVAL_LEVEL

@@ -3,8 +3,6 @@
 The hash in model.json detects damage, not forgery: whoever changes a file can update its hash.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import fields

@@ -4,8 +4,6 @@ Libraries that cache results (joblib.Memory, diskcache) read pickles, which can 
 files contain only numbers and JSON.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import json

@@ -4,8 +4,6 @@ YAML 1.1, which PyYAML follows, reads ``no`` as false, ``12:30:45`` as 45045 and
 Here these are the texts "no" and "12:30:45" and the number 777.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Iterator
 from pathlib import Path

@@ -3,8 +3,6 @@
 It installs from suspnet's own folder: no package index has suspnet.
 """
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 from collections.abc import Iterator

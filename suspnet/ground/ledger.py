@@ -13,8 +13,6 @@ SQLite writes to any file it opens: a change of the journal mode, a merged write
 next to it. A database is therefore recognised by its header before it is opened.
 """
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import json

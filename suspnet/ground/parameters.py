@@ -1,7 +1,5 @@
 """The estimated parameters: names, units, and directions of travel, limits and severities."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum

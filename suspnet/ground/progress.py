@@ -1,7 +1,5 @@
 """Output of a program: bars of progress or lines in the log, and visible control characters."""
 
-from __future__ import annotations
-
 import logging
 import math
 import re

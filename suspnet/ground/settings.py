@@ -3,8 +3,6 @@
 The comments in configs/, which `--help` shows, are made from these by a script.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Collection, Mapping

@@ -1,7 +1,5 @@
 """Conversion to tensors, a check of the device, and operations on complex tensors."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 

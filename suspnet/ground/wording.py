@@ -1,7 +1,5 @@
 """Numbers and units as text, the same in messages, tables and pages."""
 
-from __future__ import annotations
-
 import math
 import re
 import reprlib

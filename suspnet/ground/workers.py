@@ -4,8 +4,6 @@ In the pools of concurrent.futures and loky one killed process breaks the pool, 
 waiting and running items; here each worker is a pool of one process.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 import multiprocessing

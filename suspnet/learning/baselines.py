@@ -3,8 +3,6 @@
 `CurveFit` fits the model's curves directly, the usual approach in structural dynamics.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

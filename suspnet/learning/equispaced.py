@@ -7,8 +7,6 @@ Rachh, 2023: "Uniform approximation of common Gaussian process kernels using equ
 grids"). A fit costs a few non-uniform FFTs over the samples.
 """
 
-from __future__ import annotations
-
 import importlib
 import math
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ kernel. The map on a regular grid of frequencies is in ``equispaced``; `MAPS` of
 maps.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields
 

@@ -17,8 +17,6 @@ equations and backtracks along it.
 Both have the same optimum and the same stopping rule.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field

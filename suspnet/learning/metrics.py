@@ -1,7 +1,5 @@
 """Scores of estimates: MAPE and RMSE, Eqs. (14) and (15), on ratios to healthy; coverage."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 

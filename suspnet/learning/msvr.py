@@ -1,7 +1,5 @@
 """MSVR: multi-output support vector regression as a scikit-learn estimator on torch."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

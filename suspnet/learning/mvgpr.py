@@ -1,7 +1,5 @@
 """Multivariate Gaussian process regression (Chen, Wang and Gorban, 2020), the paper's MV-GPR."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """What the estimators of several outputs share: flags, shapes of outputs, stored arrays."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import ClassVar

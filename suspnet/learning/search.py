@@ -5,8 +5,6 @@ tried and the edge is not flat. An edge is flat if the next value inwards, all e
 the RMSE by at most `FLAT`, or by less than the standard error of this rise over folds.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence

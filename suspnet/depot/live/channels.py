@@ -4,8 +4,6 @@
 contains no secret and no path of a URL, which may be one.
 """
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import hmac

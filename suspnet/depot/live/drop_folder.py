@@ -1,7 +1,5 @@
 """A folder into which loggers drop files of frames."""
 
-from __future__ import annotations
-
 import logging
 import os
 import re

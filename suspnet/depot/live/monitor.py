@@ -7,8 +7,6 @@ section until its estimate is reported. After a kill at any moment, the source s
 frames again, and an estimate that is reported twice replaces itself.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import sys

@@ -3,8 +3,6 @@
 Recipients and channels are rules in a YAML file.
 """
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

@@ -1,7 +1,5 @@
 """Mileage, temperature and standstill of a suspension, by time, from its frames."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 import numpy as np

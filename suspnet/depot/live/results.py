@@ -1,7 +1,5 @@
 """Results of a monitor: estimates and alarms to the history."""
 
-from __future__ import annotations
-
 import logging
 import time
 

@@ -11,8 +11,6 @@ None of this depends on the order of frames, as long as no sensor lags behind an
 recording like any other.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import Any

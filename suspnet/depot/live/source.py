@@ -1,7 +1,5 @@
 """Interface of a source of frames."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from typing import Protocol

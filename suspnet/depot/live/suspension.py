@@ -1,7 +1,5 @@
 """One suspension in operation: its frames become sections, and each section a trip of its own."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

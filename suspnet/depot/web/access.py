@@ -1,7 +1,5 @@
 """Access: visitors that a trusted reverse proxy names, programs with a token, and their rights."""
 
-from __future__ import annotations
-
 import hmac
 import ipaddress
 import re

@@ -1,7 +1,5 @@
 """The API: the fleet as JSON for maintenance systems, with its description in OpenAPI 3.1."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import re

@@ -1,7 +1,5 @@
 """Types of the API's requests and answers, of which its description is made."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import (

@@ -1,7 +1,5 @@
 """The application and its server: pages with their files, error pages, strict headers."""
 
-from __future__ import annotations
-
 import functools
 import ipaddress
 import logging

@@ -1,7 +1,5 @@
 """Figures of the pages as SVG; pages import this, and matplotlib with it, when they draw."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Sequence
 

@@ -3,8 +3,6 @@
 They need no login: they name no vehicle, and where a login is configured no store either.
 """
 
-from __future__ import annotations
-
 import time
 from collections import Counter
 from typing import Any

@@ -1,7 +1,5 @@
 """The fleet of the current application: the thread that follows its store, and the store."""
 
-from __future__ import annotations
-
 from typing import cast
 
 from flask import current_app

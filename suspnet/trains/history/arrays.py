@@ -1,7 +1,5 @@
 """Trips as arrays for a view of the fleet, and the stored curves of some of them."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Backup and restore of a store that is a file, while programs use it."""
 
-from __future__ import annotations
-
 import errno
 import os
 import secrets

@@ -1,7 +1,5 @@
 """The database under a store: an SQLite file, or a PostgreSQL server by its URL."""
 
-from __future__ import annotations
-
 import functools
 import logging
 import math

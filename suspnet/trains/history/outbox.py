@@ -8,8 +8,6 @@ at least once. It is sent again only if the program ends between acceptance and 
 is lost; it then has the same id.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Collection, Iterable
 from contextlib import AbstractContextManager

@@ -1,7 +1,5 @@
 """Overviews of suspensions in a store, with which a server shows a fleet before it evaluates it."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from dataclasses import asdict, dataclass, fields
 

@@ -7,8 +7,6 @@ Re u_f exp(j omega_f tau) / s_f^2. Estimates depend on magnitudes more than on p
 50 ms changes them by 5 % at most, and is found to 1 ms.
 """
 
-from __future__ import annotations
-
 import math
 
 import torch

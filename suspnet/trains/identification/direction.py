@@ -1,7 +1,5 @@
 """The direction of travel of a trip, and the methods for it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Healthy trips of a folder: their spectra at each speed, and their matrices for each part."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Checks of manifests and recordings without a model: faults, and how much can be read."""
 
-from __future__ import annotations
-
 import logging
 import os
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """All trips of a folder: evaluated in parallel, one report for each suspension."""
 
-from __future__ import annotations
-
 import functools
 import logging
 import warnings

@@ -1,7 +1,5 @@
 """What maintenance is due, from the history of a fleet: overview, plan and calendar."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 

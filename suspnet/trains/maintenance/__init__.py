@@ -1,7 +1,5 @@
 """Maintenance from a history of trips: limits, alarms, remaining life and a plan."""
 
-from __future__ import annotations
-
 from suspnet.ground.parameters import DEFAULT_LIMITS, Limits, Severity
 from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm, watch
 from suspnet.trains.maintenance.change import ChangeSettings, find_changes

@@ -1,7 +1,5 @@
 """Assessment of a parameter from its trips, for maintenance: its severity and the reason."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

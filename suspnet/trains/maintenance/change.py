@@ -1,7 +1,5 @@
 """Detection of changes along the mileage, with a stated rate of false alarms."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

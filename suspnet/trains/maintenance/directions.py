@@ -10,8 +10,6 @@ w_i = 1 / h_i^2, an error e that all trips share widens the intervals to sqrt(h^
 e of a trip is of the pairs up to this trip, so that later trips do not change its interval.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from statistics import NormalDist
 

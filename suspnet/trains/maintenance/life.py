@@ -1,7 +1,5 @@
 """Remaining life: the distribution of the mileage until a parameter passes a limit."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property, partial

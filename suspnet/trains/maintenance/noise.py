@@ -1,7 +1,5 @@
 """Measurement noise of a history, and blocks of trips for the degradation models."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from statistics import NormalDist

@@ -7,8 +7,6 @@ due within `bundle_days` after it are done at it. A part that is more likely tha
 limit within ``REACH_KM`` after the visit is replaced, any other one is inspected.
 """
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence

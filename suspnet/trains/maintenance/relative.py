@@ -1,7 +1,5 @@
 """Results of trips with wider intervals, or relative to the first commissioning."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 

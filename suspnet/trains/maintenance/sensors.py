@@ -5,8 +5,6 @@ was replaced. A change counts if it exceeds a size that matters and the spread o
 several trips in a row. What all sensors share is the track: it is subtracted.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

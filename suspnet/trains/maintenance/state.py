@@ -1,7 +1,5 @@
 """State of a suspension, of which all outputs are made: alarms, assessments, remaining lives."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Collection, Iterable, Mapping, Sequence

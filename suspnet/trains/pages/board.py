@@ -1,7 +1,5 @@
 """The current state of a fleet, updated from a history, also by a thread."""
 
-from __future__ import annotations
-
 import logging
 import threading
 from collections.abc import Collection, Iterable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Results of the check of trips, and their text, JSON, page and pictures."""
 
-from __future__ import annotations
-
 import os
 from collections import Counter
 from collections.abc import Iterable, Sequence

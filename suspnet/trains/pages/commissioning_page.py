@@ -1,7 +1,5 @@
 """The files of a commissioned vehicle: a page, a figure and numbers."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import asdict
 from datetime import datetime

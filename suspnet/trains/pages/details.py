@@ -1,7 +1,5 @@
 """The details section of a report: model, settings and version, as text."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Dead and failing sensors of a suspension, from its trips."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Sequence
 
 from suspnet.ground.findings import (

@@ -1,7 +1,5 @@
 """Overviews of suspensions as text in a store: JSON of numbers and findings."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields

@@ -1,7 +1,5 @@
 """The calendar of a plan of maintenance."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Sequence
 from datetime import date

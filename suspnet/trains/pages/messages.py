@@ -1,7 +1,5 @@
 """Messages about alarms as text, from their JSON content."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Output files of a fleet: tables, figures, metrics and the report."""
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """The suspensions of a fleet or folder: their rows, the worst first, and sentences on all."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import astuple, dataclass, field
 from datetime import UTC, datetime

@@ -1,7 +1,5 @@
 """The report page of one suspension, for its maintainers."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence

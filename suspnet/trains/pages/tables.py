@@ -1,7 +1,5 @@
 """Tables of a suspension's trips and sensors."""
 
-from __future__ import annotations
-
 import math
 import statistics
 from collections import Counter

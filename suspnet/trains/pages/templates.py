@@ -1,7 +1,5 @@
 """HTML pages: templates of the packages, and how they write numbers, symbols and words."""
 
-from __future__ import annotations
-
 import math
 import re
 from functools import cache

@@ -1,7 +1,5 @@
 """Figures of a suspension along its mileage; all values are in % of healthy, mileages in km."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -5,8 +5,6 @@ time is missing between them, each missing sample becomes NaN, as in a file with
 is closed silently, and no sample is returned twice.
 """
 
-from __future__ import annotations
-
 from collections import Counter, deque
 from dataclasses import dataclass
 from itertools import pairwise

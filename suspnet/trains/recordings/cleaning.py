@@ -4,8 +4,6 @@ Detectors take one piece of a signal; masks have shape (n_samples,). `Cleaner` c
 pieces and joins the results.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ delay that depends only on the vehicle and its speed. If one clock runs fast, th
 time; if a logger loses samples, the delay jumps.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

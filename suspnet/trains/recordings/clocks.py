@@ -4,8 +4,6 @@ A source has an absolute clock if its times can be dated. Absolute clocks are al
 other; other sources start at zero of the trip's clock.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace

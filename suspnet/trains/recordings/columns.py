@@ -1,7 +1,5 @@
 """Content of a data file: columns, with unit, rate and clock if it states them, and blocks."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence

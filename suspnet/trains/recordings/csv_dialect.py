@@ -5,8 +5,6 @@ units and descriptions, and the rows. All of this is detected from the first ``S
 except what the manifest gives.
 """
 
-from __future__ import annotations
-
 import codecs
 import csv
 import re

@@ -1,7 +1,5 @@
 """Columns of Parquet files and of CSV files of any dialect, read block by block with Arrow."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress

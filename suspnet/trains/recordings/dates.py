@@ -1,7 +1,5 @@
 """Dates and time stamps as loggers write them: recognised in text, read a column at a time."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress

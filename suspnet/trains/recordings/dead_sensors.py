@@ -11,8 +11,6 @@ sensor therefore counts as loose only where the others are as loud as usual, or 
 than they are.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Columns of data files of all formats, read block by block; ``FORMATS`` lists the formats."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial

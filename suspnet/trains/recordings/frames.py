@@ -6,8 +6,6 @@ are not trusted: their size is limited before they are read, and compressed batc
 declare any size, are refused.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from dataclasses import dataclass, replace

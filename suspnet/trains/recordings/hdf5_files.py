@@ -1,7 +1,5 @@
 """Columns of HDF5 files, of which MAT files of version 7.3 are: data sets and fields of tables."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Channels of MDF 4 and TDMS files, with their arithmetic conversions; no formula is evaluated."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence

@@ -3,8 +3,6 @@
 The fields of the dataclasses are the keys of the YAML file, documented by their metadata.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

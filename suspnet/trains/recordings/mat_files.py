@@ -1,7 +1,5 @@
 """Columns of MAT files before version 7.3, and of arrays: vectors, columns of matrices, fields."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence

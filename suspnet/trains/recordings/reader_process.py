@@ -8,8 +8,6 @@ libraries. Requests and answers are lines of JSON; the bytes of arrays follow an
 unpickled.
 """
 
-from __future__ import annotations
-
 import atexit
 import functools
 import itertools

@@ -6,8 +6,6 @@ protections are independent, as not every system has all of them: resource limit
 hook in Python.
 """
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import importlib

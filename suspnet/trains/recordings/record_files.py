@@ -1,7 +1,5 @@
 """Records of universal files (UFF 58), with the rates, units and dates that they state."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path

@@ -7,8 +7,6 @@ for them, 27 bytes per instant of three sensors; `longest_s` bounds the recordin
 Where the manifest leaves rate or unit to the file, they are those of the sensor's first frame.
 """
 
-from __future__ import annotations
-
 import zlib
 from collections import Counter
 from dataclasses import asdict, replace

@@ -6,8 +6,6 @@ clock by a windowed sinc, the same function of time for all input rates. Both ar
 ``PASS`` f, and attenuate images and aliases that would fall there by ``ATTENUATION_DB``.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """The speed of the train on the trip's clock, and its faults."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import pairwise

@@ -6,8 +6,6 @@ angular frequency w and steps of at most h, its error in the middle of them is a
 formula. The error for the times of a file is summed up exactly, from the weights of its samples.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -7,8 +7,6 @@ waves of twice the wheelbase pitch the frame and do not move its centre: the sha
 Which axle meets the track first shows in the phases: they give the direction of travel.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import operator

@@ -12,8 +12,6 @@ and frame m is the axle boxes' mean, and on the frame only such bins are used in
 matters. In the body, where all matter, m is the body's own mean, so that only a pair has a gain.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -14,8 +14,6 @@ only choose which places are fitted. Healthy trips that the vehicle does not exp
 in the same way. The evidence is in docs/methods.md; benchmarks/swapped_sensors.py repeats it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product

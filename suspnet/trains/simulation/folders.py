@@ -1,7 +1,5 @@
 """Folders of simulated trips, one per simulation, which can continue after an interruption."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager

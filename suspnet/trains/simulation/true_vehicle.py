@@ -1,7 +1,5 @@
 """True numbers of simulated vehicles: drawn about nominal, those of twelve separate parts too."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import fields, replace
 from typing import Any

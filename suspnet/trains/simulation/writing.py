@@ -1,7 +1,5 @@
 """Simulated trips: track and journey -> motion of a vehicle -> sensors -> files with a manifest."""
 
-from __future__ import annotations
-
 import functools
 import io
 import json

@@ -21,8 +21,6 @@ Leakage needs no share: its size is known. N in L and in U is that of the round 
 eigenvalues do not depend on H, so that errors of the vehicle are not taken for noise.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

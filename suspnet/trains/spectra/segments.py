@@ -1,7 +1,5 @@
 """Segments of a recording that are used for an estimate."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 Checking, commissioning, reading and monitoring all use these functions, so that they agree.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

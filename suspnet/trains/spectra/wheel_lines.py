@@ -7,8 +7,6 @@ tracking), where a line of the amplitude (2 pi n kappa)^2 X stands out of the tr
 track does not repeat itself with the wheel, and no other wheelset shares the line.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

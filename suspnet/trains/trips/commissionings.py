@@ -6,8 +6,6 @@ commissionings: the trend figure shows all trips relative to the first one's hea
 limits and tests use the trips since the last one.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Trips that were read before: by an interrupted evaluation, or by earlier ones, in the store."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace

@@ -4,8 +4,6 @@ Names are English or German. A line of notes is a name, a sign (``: = ;``, a tab
 value, such as ``Kilometerstand;123.456,7 km``. Each key is one of a manifest.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace

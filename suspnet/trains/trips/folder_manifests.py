@@ -4,8 +4,6 @@ A value of a table counts more than one that is said once for all trips, and tha
 files': their columns, the lines of their loggers, and the name of their folder.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """Grouping of the trips of a folder by suspension."""
 
-from __future__ import annotations
-
 import logging
 import re
 from collections import Counter

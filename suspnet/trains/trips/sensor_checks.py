@@ -1,7 +1,5 @@
 """Checks whether the sensors of a trip are where its manifest says, against a known vehicle."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Mapping, Sequence
 from functools import cache, partial

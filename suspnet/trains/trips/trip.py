@@ -1,7 +1,5 @@
 """One trip: recording -> segments -> stiffness and damping, with the quality of the recording."""
 
-from __future__ import annotations
-
 import functools
 import logging
 import time

@@ -1,7 +1,5 @@
 """Data files of a folder, grouped by trip, and a table (CSV) of what differs between the trips."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re
