@@ -41,6 +41,7 @@ CHANGES = {
     "sigma_1.7": "model.sigma=1.7",
     "sigma_5.5": "model.sigma=5.5",
     **{f"rff_{n}": f"model.n_components={n}" for n in (256, 512, 2048)},
+    "orf": "model.feature_map=orf",
     "nystroem_512": "model.feature_map=nystroem model.n_components=512",
     "gaussian": "protocol.features.shape=gaussian",
     "window_narrow": "protocol.features.window=0.7",

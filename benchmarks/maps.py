@@ -26,7 +26,7 @@ SIZES = [20_000, 364_816]
 PEAKS = {9: "[secondary,primary_lower,primary_upper]", 6: "[secondary,primary_lower]"}
 EPSILON = 1e-3
 MAPS = [
-    *[("rff", n) for n in (512, 1024, 2048, 4096)],
+    *[(name, n) for name in ("rff", "orf") for n in (512, 1024, 2048, 4096)],
     *[("nystroem", n) for n in (256, 512, 1024, 2048)],
 ]
 

@@ -37,7 +37,7 @@ X_test, truth = samples(2000, seed=1)
 # puts Fourier modes on a regular grid, which serves up to three inputs and needs the extra
 # ``nufft``; without it that map is left out.
 
-LARGEST = {"exact": 1000, "nystroem": 16_000, "rff": 16_000}
+LARGEST = {"exact": 1000, "nystroem": 16_000, "orf": 16_000, "rff": 16_000}
 if find_spec("finufft"):
     LARGEST["equispaced"] = 16_000
 SIZES = [500, 1000, 2000, 4000, 8000, 16_000]
@@ -82,9 +82,9 @@ plt.show()
 # What one sees, and what not
 # ---------------------------
 # ``nystroem`` and ``equispaced`` are the kernel to within their tolerance: the three errors are
-# the same. The random features of ``rff`` are not, and on this problem that happens to help.
-# ``equispaced`` costs what its grid costs, whatever the number of samples; the :doc:`page on speed
-# </speed>` follows it to 364,816 samples, where it is the fastest.
+# the same. The random features of ``rff`` and ``orf`` are not, and on this problem that happens to
+# help. ``equispaced`` costs what its grid costs, whatever the number of samples; the :doc:`page on
+# speed </speed>` follows it to 364,816 samples, where it is the fastest.
 #
 # Which map is best depends on the number of inputs and on sigma, so that three inputs say nothing
 # about nine. ``equispaced`` takes no more than three, ``nystroem`` suits six, ``rff`` nine.

@@ -95,6 +95,19 @@ def parquet_columns(folder: Path, *, n_columns: int) -> Path:
     return folder / "data.parquet"
 
 
+# WAV
+
+
+def wav(folder: Path, *, n_bytes: int, bits: int = 16, form: int = 1) -> Path:
+    """Write a WAV file that is one hole."""
+    path, frame = folder / "data.wav", bits // 8
+    head = b"RIFF" + struct.pack("<I", n_bytes + 36) + b"WAVE"
+    head += b"fmt " + struct.pack("<IHHIIHH", 16, form, 1, 1000, 1000 * frame, frame, bits)
+    path.write_bytes(head + b"data" + struct.pack("<I", n_bytes))
+    os.truncate(path, path.stat().st_size + n_bytes)
+    return path
+
+
 # TDMS, MDF, UFF, CSV
 
 
@@ -210,6 +223,10 @@ DECLARING = {
     "mat 4": partial(mat_4, n=6 * 10**7, columns=50),
     "parquet": partial(parquet, n=10**9),
     "parquet of columns": partial(parquet_columns, n_columns=2000),
+    **{
+        f"wav of {bits} bits": partial(wav, n_bytes=4 * 10**9, bits=bits, form=form)
+        for bits, form in ((16, 1), (24, 1), (32, 3))
+    },
     "uff": partial(uff, n=9 * 10**9),
     "tdms": partial(tdms, n=2**63),
     "tdms with a hole": partial(tdms, n=10**10, hole=8 * 10**10),

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from scipy.io import savemat
+from scipy.io import savemat, wavfile
 
 from suspnet.trains.recordings.formats import CSV_SUFFIXES
 from suspnet.trains.recordings.manifest import TripManifest
@@ -150,6 +150,15 @@ def write_uff(path: Path, columns: Mapping, **said) -> None:
             pyuff.UFF(str(path)).write_sets(record, "add")
 
 
+def write_wav(path: Path, columns: Mapping, **said) -> None:
+    values = np.stack([np.asarray(v).astype(np.float64) for v in columns.values()], axis=1)
+    wavfile.write(path, round(said.get("rate_hz", 1.0)), values)
+    if "date" in said:  # a broadcast WAV file: description, originator, reference, date and time
+        chunk = bytes(320) + said["date"].encode() + bytes(264)
+        content = path.read_bytes() + b"bext" + len(chunk).to_bytes(4, "little") + chunk
+        path.write_bytes(content[:4] + (len(content) - 8).to_bytes(4, "little") + content[8:])
+
+
 WRITERS = {
     ".parquet": write_parquet,
     **dict.fromkeys(CSV_SUFFIXES, write_csv),
@@ -161,4 +170,5 @@ WRITERS = {
     ".mdf": write_mdf,
     ".uff": write_uff,
     ".unv": write_uff,
+    ".wav": write_wav,
 }

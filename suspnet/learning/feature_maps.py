@@ -79,6 +79,24 @@ def random_fourier(
     return FourierFeatures((draws * math.sqrt(2) / sigma).to(X))
 
 
+def orthogonal_fourier(
+    X: Tensor, sigma: float, n_components: int, seed: int, kernel_tol: float = 0.0
+) -> FourierFeatures:
+    """Draw orthogonal random features: blocks of orthogonal directions (Yu et al., 2016).
+
+    Each direction is uniform on the sphere and has the length of a Gaussian vector, so each w_j by
+    itself is still N(0, 2 / sigma^2 I). `kernel_tol` is not used.
+    """
+    n_inputs, source, blocks = X.shape[1], generator(seed), []
+    for _ in range(-(-_pairs(n_components) // n_inputs)):
+        gaussian = torch.randn(n_inputs, n_inputs, generator=source, dtype=torch.float64)
+        q, r = torch.linalg.qr(gaussian)
+        lengths = torch.randn(n_inputs, n_inputs, generator=source, dtype=torch.float64).norm(dim=0)
+        blocks.append(q * r.diagonal().sign() * lengths)
+    draws = torch.cat(blocks, dim=1)[:, : _pairs(n_components)]
+    return FourierFeatures((draws * math.sqrt(2) / sigma).to(X).contiguous())
+
+
 def _pairs(n_components: int) -> int:
     """Return the number of cosine and sine pairs, an odd number of components rounded up."""
     return (n_components + 1) // 2

@@ -25,6 +25,7 @@ from suspnet.learning.feature_maps import (
     LandmarkFeatures,
     exact,
     nystroem,
+    orthogonal_fourier,
     random_fourier,
 )
 from suspnet.learning.irwls import IRWLS, Iteration, Status
@@ -55,6 +56,7 @@ class MapKind:
 
 MAPS = {
     "rff": MapKind(random_fourier, FourierFeatures),
+    "orf": MapKind(orthogonal_fourier, FourierFeatures),
     "nystroem": MapKind(nystroem, LandmarkFeatures),
     "equispaced": MapKind(equispaced_fourier, EquispacedFeatures, EquispacedDesign, on_gpu=False),
     "exact": MapKind(exact, KernelColumns, KernelDesign),
@@ -112,15 +114,16 @@ class MSVR(Regressor):
     epsilon: float = setting(
         1e-3, "Radius of the tube within which residuals cost nothing", "scaled outputs", low=0
     )
-    feature_map: Literal["rff", "nystroem", "equispaced", "exact"] = setting(
+    feature_map: Literal["rff", "orf", "nystroem", "equispaced", "exact"] = setting(
         "rff",
-        "Approximation of the kernel: random Fourier features, Nystroem landmarks, "
-        " modes on a grid (three inputs at most), or the kernel itself (memory as "
+        "Approximation of the kernel: random Fourier features, orthogonal ones, Nystroem "
+        "landmarks, modes on a grid (three inputs at most), or the kernel itself (memory as "
         "data.n_train squared)",
     )
     n_components: int = setting(
         1024,
-        "Number of features of rff (rounded up to an even number), and largest number of nystroem",
+        "Number of features of rff and orf (rounded up to an even number), and largest number "
+        "of nystroem",
         low=1,
     )
     kernel_tol: float = setting(

@@ -30,7 +30,7 @@ ESTIMATORS = [
     LinearRegression(),
     MVGPR(n_restarts=0, n_optimize=100),
 ]
-MAPPED = [MSVR(feature_map=name, n_components=64) for name in ("nystroem", "exact")]
+MAPPED = [MSVR(feature_map=name, n_components=64) for name in ("orf", "nystroem", "exact")]
 GRID = [MSVR(feature_map="equispaced")] if importlib.util.find_spec("finufft") else []
 
 

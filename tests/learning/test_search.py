@@ -121,12 +121,15 @@ IDENTITY_METRIC = make_scorer(root_mean_squared_error, greater_is_better=False)
     ("estimator", "grid"),
     [
         (MSVR(n_components=32, tol=1e-12), SHARING),
+        pytest.param(
+            MSVR(n_components=32, feature_map="orf", tol=1e-12), SHARING, marks=pytest.mark.slow
+        ),
         (MSVR(n_components=20, feature_map="nystroem"), {"C": [1.0, 10.0], "epsilon": [1e-3]}),
         (MSVR(n_components=32), {"n_components": [8, 33], "C": [1.0, 10.0]}),
         (MSVR(n_components=32), {"feature_map": ["nystroem", "rff"], "C": [1.0]}),
         (LinearRegression(), {}),
     ],
-    ids=["rff", "nystroem", "components", "maps", "linear"],
+    ids=["rff", "orf", "nystroem", "components", "maps", "linear"],
 )
 def test_search_is_cross_validation_of_clones(estimator, grid):
     X, Y = smooth_data(1, n_samples=60)

@@ -134,7 +134,7 @@ PENALISED_SOLVERS = {
     "Toeplitz": (by_irwls, {"design": EquispacedDesign}),
     **{
         f"MSVR {name}": (by_estimator, {"feature_map": name})
-        for name in ("rff", "nystroem", "exact", "equispaced")
+        for name in ("rff", "orf", "nystroem", "exact", "equispaced")
     },
 }
 

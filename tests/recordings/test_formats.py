@@ -27,6 +27,8 @@ def read(path: Path, *columns: str | None) -> list[np.ndarray]:
 
 def named(suffix: str, name: str, place: int = 0) -> str:
     """Return how a file names the column that was written as `name`, the nth of the file."""
+    if suffix == ".wav":
+        return f"channel_{place + 1}"
     return f"g/{name}" if suffix == ".tdms" else name
 
 

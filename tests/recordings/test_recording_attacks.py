@@ -29,7 +29,9 @@ FEW_ACTING = (
     *("mdf system", "mdf 3.30", "tdms index", "hdf5 external", "hdf5 link"),
     *("hdf5 virtual", "hdf5 plugin", "mat 7.3 external"),
 )
-FEW_DECLARING = (*("mat", "pipe as .csv", "mdf", "hdf5", "hdf5 of one piece", "uff"),)
+FEW_DECLARING = (
+    *("mat", "pipe as .csv", "mdf", "hdf5", "hdf5 of one piece", "wav of 16 bits", "uff"),
+)
 
 
 @pytest.fixture

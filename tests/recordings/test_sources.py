@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recording_files import WRITERS, needed, opened
-from scipy.io import savemat
+from scipy.io import savemat, wavfile
 
 from suspnet.trains.recordings.columns import size_of, unit_in_name
 from suspnet.trains.recordings.errors import TripError
@@ -84,6 +84,26 @@ def test_speed_has_units_of_its_own(tmp_path):
     with opened(path, SpeedSource(path.name)) as source:
         assert source.size == pytest.approx(0.514444, rel=1e-5)
     refuses(path, SensorSource(path.name), "says 'knots'")
+
+
+@pytest.mark.parametrize(
+    ("dtype", "level", "full"), [("int16", 0, 2**15), ("int32", 0, 2**31), ("uint8", 128, 2**7)]
+)
+def test_integers_of_wav_files_are_fractions_of_range(tmp_path, dtype, level, full):
+    path = tmp_path / "data.wav"
+    values = (level + full * np.array([[0.5, 0], [-0.25, 0]])).astype(dtype)
+    wavfile.write(path, 1000, values)
+    with opened(path, SensorSource(path.name, "g", "channel_1", range=4.0)) as source:
+        (block,) = source.blocks()
+        np.testing.assert_allclose(source.size * block[0], 9.80665 * np.array([2.0, -1.0]))
+        assert source.full_scale == pytest.approx(4 * 9.80665)
+        assert source.rate_hz == 1000.0
+    without = SensorSource("data.wav", "g", "channel_1")
+    refuses(path, without, "'channel_1' holds integers, which are fractions of full scale")
+    with opened(
+        path, SensorSource(path.name, "g", "channel_1", rate_hz=1000.4, range=1.0)
+    ) as source:
+        assert source.rate_hz == 1000.4  # a WAV file holds whole numbers
 
 
 def test_structs_and_matrices_have_columns(tmp_path):

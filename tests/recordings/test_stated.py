@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from recording_files import hdf5_file, needed, opened, write_uff
+from recording_files import hdf5_file, needed, opened, write_uff, write_wav
 from scipy.io import savemat
 from scipy.sparse import csc_array
 
@@ -313,3 +313,19 @@ def test_records_of_universal_files(tmp_path, kind, n_declared, abscissa, refusa
     path.write_bytes(path.read_bytes().replace(form % (4, N, 1), form % (kind, n_declared, 1)))
     with pytest.raises(TripError, match=refusal) if refusal else nullcontext():
         np.testing.assert_array_equal(read(path, "a")[0], VALUES[:n_declared])
+
+
+def test_wav_files_of_24_bits_and_of_a_wrong_length(tmp_path):
+    path = tmp_path / "a.wav"
+    write_wav(path, {"a": VALUES}, date="2024-05-0608:15:30")
+    with open_file(path) as file:
+        assert file.column("channel_1").date == "2024-05-06 08:15:30"
+    head = b"WAVEfmt " + struct.pack("<IHHIIHH", 16, 1, 1, 1000, 3000, 3, 24)
+    for n_bytes in (6, 600):
+        content = head + b"data" + struct.pack("<I", n_bytes) + bytes.fromhex("0000400000e0")
+        path.write_bytes(b"RIFF" + struct.pack("<I", len(content)) + content)
+        if n_bytes == 6:
+            np.testing.assert_array_equal(read(path, None)[0], [0.5, -0.25])
+        else:
+            with pytest.raises(TripError, match=r"a\.wav is damaged, cut off or not a \.wav file"):
+                read(path, None)

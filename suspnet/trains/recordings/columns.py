@@ -39,7 +39,8 @@ class Column:
     in UTC, or in the logger's unknown time zone if `is_local`. `is_time`: it holds time stamps
     rather than numbers; `is_zoned`: they are in UTC rather than an unknown zone. `date` is the
     start of the recording as written in a header, too coarse to align clocks. `unread` is why it
-    holds neither numbers nor times that can be read; empty if it does.
+    holds neither numbers nor times that can be read; empty if it does. `is_fraction`: its values
+    are fractions of the sensor's range. `is_whole_rate`: the format stores no other rates.
     """
 
     name: str
@@ -52,6 +53,8 @@ class Column:
     date: str | None = None
     unread: str = ""
     is_local: bool = False
+    is_fraction: bool = False
+    is_whole_rate: bool = False
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from suspnet.trains.recordings.hdf5_files import open_hdf5, open_mat
 from suspnet.trains.recordings.logger_files import open_mdf, open_tdms
 from suspnet.trains.recordings.manifest_sources import CsvDialect
 from suspnet.trains.recordings.reader_process import in_own_process
-from suspnet.trains.recordings.record_files import open_uff
+from suspnet.trains.recordings.record_files import open_uff, open_wav
 
 
 @contextmanager
@@ -100,6 +100,7 @@ FORMATS: dict[tuple[str, ...], tuple[Reader, str | None]] = {
     (".tdms",): (open_tdms, "nptdms"),
     (".mf4", ".mdf"): (open_mdf, "asammdf"),
     (".uff", ".unv"): (open_uff, "pyuff"),
+    (".wav",): (open_wav, None),
 }
 """Readers of binary files and the packages that they import, by suffixes: they run in confined
 processes, as binary files declare sizes and may crash a library."""

@@ -357,7 +357,8 @@ class SensorSource(FileSource):
     range: float | None = optional(
         positive,
         "number above 0",
-        "largest magnitude that the sensor can measure, to detect saturation",
+        "largest magnitude that the sensor can measure, to detect saturation; full scale of "
+        "integers in WAV files",
         "the channel's",
         "unknown",
     )

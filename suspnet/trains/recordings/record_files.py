@@ -1,11 +1,15 @@
-"""Records of universal files (UFF 58), with the rates, units and dates that they state."""
+"""Records of universal files (UFF 58) and of WAV files, with rates, units and dates they state."""
 
+import re
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from scipy.io import wavfile
 
 from suspnet.ground.extras import import_extra
 from suspnet.ground.findings import Finding
@@ -19,6 +23,8 @@ from suspnet.trains.recordings.columns import (
 )
 from suspnet.trains.recordings.errors import TripError
 
+BEXT_DATE = slice(320, 338)
+"""Bytes of the chunk `bext` that hold date and time of day, yyyy-mm-dd and hh:mm:ss."""
 TIME_RESPONSE = 1
 """Function type of a time record in a data set 58 of a universal file."""
 ACCELERATION, TIME = 12, 17
@@ -91,3 +97,54 @@ def _uff_record(name: str, header: Mapping[str, Any], length: str | None) -> Ite
 def _text(header: Mapping[str, Any], key: str) -> str:
     text = str(header.get(key, "")).strip()
     return "" if text.upper() == "NONE" else text
+
+
+@contextmanager
+def open_wav(path: Path) -> Iterator[OpenFile]:
+    """Open a WAV file; columns are "channel_1" etc., integers are fractions of full scale."""
+    with warnings.catch_warnings(), path.open("rb") as stream:
+        warnings.simplefilter("ignore", wavfile.WavFileWarning)  # of unknown chunks
+        warnings.filterwarnings("error", "Reached EOF", wavfile.WavFileWarning)
+        try:
+            rate_hz, data = wavfile.read(stream, mmap=True)
+        except ValueError as error:
+            if "not compatible" not in str(error):
+                raise
+            stream.seek(0)
+            rate_hz, data = wavfile.read(stream)  # 24 bits cannot be mapped to memory
+    data = data[:, None] if data.ndim == 1 else data
+    is_fraction = data.dtype.kind in "iu"
+    zero = 128.0 if data.dtype.kind == "u" else 0.0
+    full_scale = 2.0 ** (8 * data.dtype.itemsize - 1) if is_fraction else 1.0
+    about: dict[str, Any] = {"is_fraction": is_fraction, "date": _checked_date(path)}
+    columns, takes = [], dict[str, tuple[int, Take]]()
+    for i, values in enumerate(data.T):
+        name = f"channel_{i + 1}"
+        columns.append(Column(name, rate_hz=float(rate_hz), is_whole_rate=True, **about))
+        takes[name] = len(data), partial(_scaled, values, zero, full_scale)
+    yield OpenFile(tuple(columns), lambda names: slices(path, names, takes))
+
+
+def _scaled(values: Any, zero: float, full_scale: float, rows: slice) -> Any:
+    return (values[rows].astype(np.float64) - zero) / full_scale
+
+
+def _checked_date(path: Path) -> str | None:
+    """Return the date of a broadcast WAV file's chunk `bext`; ValueError if the data are cut off.
+
+    scipy does not say if data of 24 bits are.
+    """
+    date = None
+    with path.open("rb") as stream:
+        n_bytes = stream.seek(0, 2)
+        stream.seek(0)
+        order: Literal["big", "little"] = "big" if stream.read(12)[:4] == b"RIFX" else "little"
+        while len(head := stream.read(8)) == 8:  # ends: each round advances
+            size, start = int.from_bytes(head[4:], order), stream.tell()
+            if head[:4] == b"data" and n_bytes - start < size < 2**32 - 1:  # RF64 writes that
+                raise ValueError("its data are cut off")
+            if head[:4] == b"bext":
+                text = stream.read(min(size, BEXT_DATE.stop))[BEXT_DATE].decode("ascii", "replace")
+                date = f"{re.sub('[_:. ]', '-', text[:10])} {text[10:].strip()}"
+            stream.seek(start + size + size % 2)
+    return date

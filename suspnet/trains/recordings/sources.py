@@ -22,6 +22,8 @@ from suspnet.trains.recordings.uneven import POINTS, Grid, Line
 
 RATE_TOLERANCE = 1e-4
 """Largest relative difference between a stated rate and that in the header of a file."""
+WHOLE_HZ = 0.5
+"""Largest difference from a rate that the format stores as a whole number, [Hz]."""
 BAND_HZ = 25.0
 """Frequency up to which samples are used unless a reader says otherwise, [Hz]."""
 GAP_STEPS = 1.5
@@ -32,11 +34,11 @@ GAP_STEPS = 1.5
 class OpenSource:
     """A source that is open for reading.
 
-    `size` is the factor from stored values to SI units, including the sign; `full_scale` the
-    largest magnitude of an acceleration [m/s2]. `rate_hz` is None if only the times give it,
-    `times` None if the source is evenly sampled. `stated` is the origin by the file's header.
-    `stated_words` state how the file is read, as known when it was opened. `where` names the source
-    in errors.
+    `size` is the factor from stored values to SI units, including the sign and, for fractions, the
+    range; `full_scale` the largest magnitude of an acceleration [m/s2]. `rate_hz` is None if only
+    the times give it, `times` None if the source is evenly sampled. `stated` is the origin by the
+    file's header. `stated_words` state how the file is read, as known when it was opened. `where`
+    names the source in errors.
     """
 
     path: Path
@@ -135,7 +137,7 @@ def open_source(manifest: TripManifest, source: FileSource, where: str) -> Itera
         factor, words = _size(where, source, column)
         full_scale = getattr(source, "range", None)
         if full_scale is not None:
-            full_scale *= abs(factor)
+            full_scale = abs(factor) * (1.0 if column.is_fraction else full_scale)
         times = None
         if time is not None:
             choose(path, file, [time])  # raises if there is no such column
@@ -172,7 +174,8 @@ def _agreed_rate(where: str, stated_hz: float | None, column: Column) -> float |
     own_hz = column.rate_hz
     if stated_hz is None or own_hz is None:
         return stated_hz or own_hz
-    if abs(stated_hz - own_hz) > RATE_TOLERANCE * own_hz:
+    most = max(RATE_TOLERANCE * own_hz, WHOLE_HZ if column.is_whole_rate else 0)
+    if abs(stated_hz - own_hz) > most:
         raise TripError.at(where, "rate-differs", stated_hz=stated_hz, found_hz=own_hz)
     return stated_hz
 
@@ -184,6 +187,10 @@ def _size(where: str, source: FileSource, column: Column) -> tuple[float, str]:
         words = Finding(
             "unit-taken", name=repr(column.name), unit=source.unit, unit2=repr(column.unit)
         )
+    if column.is_fraction:
+        if not isinstance(source, SensorSource) or source.range is None:
+            raise TripError.at(where, "range-missing", name=repr(column.name))
+        size *= source.range
     return size * (source.sign if isinstance(source, SensorSource) else 1), words
 
 

@@ -249,7 +249,7 @@ class Signal:
     or the file states the rate, and `time_unit` their unit if only their column's name states it.
     `names` serve to guess its meaning: its own, with and without its group's, and that of a file
     with at most two columns or with columns that name no channel. `first` is the first sample.
-    `axle` is 1 or 2 of the bogie where the user stated it, else 0.
+    `axle` is 1 or 2 of the bogie where the user stated it, else 0; `range` is NaN unless stated.
     """
 
     file: Path
@@ -261,6 +261,7 @@ class Signal:
     names: tuple[str, ...] = ()
     first: float = np.nan
     axle: int = 0
+    range: float = np.nan
 
     @property
     def name(self) -> str:

@@ -51,7 +51,7 @@ PLACE_KEYS = (
     *(MILEAGE, "start", "temperature_c", "wheel_diameter_m"),
 )
 """Keys of the first part of a manifest, in the order in which they are written."""
-SIGNAL_KEYS = ("unit", "rate_hz", "speed_unit", "speed_rate_hz")
+SIGNAL_KEYS = ("unit", "rate_hz", "range", "speed_unit", "speed_rate_hz")
 """Keys that hold for all accelerometers, or for the speed, of all trips."""
 SAYABLE = (*PLACE_KEYS, SPEED, *(f"channels.{name}" for name in CHANNELS), *SIGNAL_KEYS)
 """Keys that may be said once for all trips."""
@@ -69,6 +69,7 @@ HOW: Mapping[str, str] = {
     "speed": 'speed=70 in m/s, speed="252 km/h", or speed=COLUMN',
     "unit": "unit=m/s2 or unit=g, of all accelerometers",
     "rate_hz": "rate_hz=500, of all accelerometers",
+    "range": "range=50, what full scale is in that unit, of all accelerometers in WAV files",
     "speed_unit": "speed_unit=km/h or speed_unit=m/s",
     "speed_rate_hz": "speed_rate_hz=1",
 }
@@ -298,6 +299,9 @@ class _Writer:
             self.missing.append(f"{prefix}unit")
         if not (signal.time or math.isfinite(signal.rate_hz)):
             self.missing.append(f"{prefix}rate_hz")
+        is_fraction = kind == ACCELERATION and signal.column.is_fraction
+        if is_fraction and math.isnan(signal.range):
+            self.missing.append("range")
         content: dict[str, object] = {
             "file": _relative(signal.file, self.folder).as_posix(),
             "column": signal.name,
@@ -307,6 +311,7 @@ class _Writer:
             "time": signal.time,
             "time_unit": signal.time_unit,
             "rate_hz": "" if signal.time else float(signal.rate_hz),
+            "range": signal.range if is_fraction else "",
         }
         inside = ", ".join(f"{k}: {_yaml(v)}" for k, v in content.items() if v != "")
         return f"{{{inside}}}"
@@ -393,11 +398,13 @@ def _with_settings(
         changes["unit"] = unit
     if rate and not signal.time and not np.isfinite(signal.rate_hz):
         changes["rate_hz"] = float(_plain_value("rate_hz", rate))
+    if "range" in command_line and signal.column.is_fraction:
+        changes["range"] = float(_plain_value("range", command_line["range"]))
     return replace(signal, **changes)
 
 
 def _plain_value(key: str, text: str) -> str | float:
-    is_number = key in NUMBERS or key.endswith("rate_hz")
+    is_number = key in (*NUMBERS, "range") or key.endswith("rate_hz")
     try:
         return float(text) if is_number or key == SPEED else text
     except ValueError:
