@@ -13,15 +13,7 @@ from shlex import quote
 from omegaconf import DictConfig, OmegaConf
 
 from suspnet.cli import program
-from suspnet.cli.folders import (
-    ACT,
-    EXIT_CODE,
-    FINE,
-    NOTICE,
-    SOME_WITHOUT_ESTIMATE,
-    is_job,
-    worst,
-)
+from suspnet.cli.folders import ACT, EXIT_CODE, FINE, NOTICE, SOME_WITHOUT_ESTIMATE, is_job, worst
 from suspnet.cli.kinds import board_settings, build, named_runs
 from suspnet.estimation.checkpoint import load_model
 from suspnet.ground.extras import check_extra, optional

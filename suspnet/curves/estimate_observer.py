@@ -18,12 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.curves.cross_spectra import (
-    CrossSpectra,
-    Method,
-    moving_average_with,
-    sample_spectra,
-)
+from suspnet.curves.cross_spectra import CrossSpectra, Method, moving_average_with, sample_spectra
 from suspnet.curves.curves import Directions, directions
 from suspnet.curves.expected_spectra import EstimateMisfit, ExpectedSpectra, bridged, weak_bins
 from suspnet.curves.speeds import Speeds

@@ -11,13 +11,7 @@ import torch
 from torch import Tensor
 
 from suspnet.curves.cross_spectra import Method
-from suspnet.curves.curves import (
-    MOST_BINS,
-    Counts,
-    CurveMisfit,
-    CurveObserver,
-    CurveSettings,
-)
+from suspnet.curves.curves import MOST_BINS, Counts, CurveMisfit, CurveObserver, CurveSettings
 from suspnet.curves.estimate_observer import EstimateObserver
 from suspnet.curves.expected_spectra import EstimateMisfit
 from suspnet.curves.welch import Welch

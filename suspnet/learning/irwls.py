@@ -26,13 +26,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from suspnet.learning.design import (
-    Coefficients,
-    Columns,
-    Design,
-    Gradient,
-    NormalEquations,
-)
+from suspnet.learning.design import Coefficients, Columns, Design, Gradient, NormalEquations
 
 SUFFICIENT_DECREASE = 1e-4
 """Fraction of the decrease predicted by the gradient that a step must reach (Armijo's rule)."""

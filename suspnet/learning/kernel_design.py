@@ -14,13 +14,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor, cholesky_solve
 
-from suspnet.learning.design import (
-    Coefficients,
-    Columns,
-    Design,
-    Gradient,
-    cholesky,
-)
+from suspnet.learning.design import Coefficients, Columns, Design, Gradient, cholesky
 from suspnet.learning.feature_maps import KernelColumns, generator, partial_cholesky
 from suspnet.learning.irwls import IRWLS
 

@@ -12,15 +12,7 @@ from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.progress import stage
 from suspnet.ground.storage import write_json
 from suspnet.runs.predict import predict_stream
-from suspnet.runs.scores import (
-    Metrics,
-    draw_run,
-    headline,
-    log_scores,
-    report,
-    rms_percent,
-    scores,
-)
+from suspnet.runs.scores import Metrics, draw_run, headline, log_scores, report, rms_percent, scores
 from suspnet.runs.tensorboard import RunLog
 
 

@@ -12,11 +12,7 @@ from matplotlib.figure import Figure
 
 from suspnet.ground.types import FloatArray
 from suspnet.runs.figures import SUSPENSIONS, SYMBOLS
-from suspnet.runs.tables import (
-    MODEL_TITLES,
-    grouped,
-    models_of,
-)
+from suspnet.runs.tables import MODEL_TITLES, grouped, models_of
 
 BOUND_COLOUR = "black"
 FONT_POINTS = 12

@@ -11,12 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.bounds.information import (
-    best_possible,
-    output_bounds,
-    over_bound,
-    relative_percent,
-)
+from suspnet.bounds.information import best_possible, output_bounds, over_bound, relative_percent
 from suspnet.curves.problem import TEST, Problem
 from suspnet.curves.protocols import Task
 from suspnet.estimation.estimate import KINDS

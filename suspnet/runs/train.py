@@ -34,21 +34,8 @@ from suspnet.ground.settings import check_number
 from suspnet.ground.storage import write_json
 from suspnet.learning.search import GridSearch, SearchResult
 from suspnet.runs.fit import check_hyperparameters, fit, method_name, refitted, tune
-from suspnet.runs.predict import (
-    Outcome,
-    calibrated,
-    predict_stream,
-    with_unexplained,
-)
-from suspnet.runs.scores import (
-    Metrics,
-    draw_run,
-    headline,
-    log_scores,
-    report,
-    rms_percent,
-    scores,
-)
+from suspnet.runs.predict import Outcome, calibrated, predict_stream, with_unexplained
+from suspnet.runs.scores import Metrics, draw_run, headline, log_scores, report, rms_percent, scores
 from suspnet.runs.tensorboard import ERROR_BY_N, RunLog
 
 log = logging.getLogger(__name__)

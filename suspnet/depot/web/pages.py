@@ -39,12 +39,7 @@ from suspnet.trains.maintenance.alarms import Alarm, newest_of
 from suspnet.trains.maintenance.plan import joined, place_of
 from suspnet.trains.maintenance.state import State
 from suspnet.trains.pages.board import clock
-from suspnet.trains.pages.bogie import (
-    bogie_of,
-    bogies_shown,
-    small_figures,
-    visits_of,
-)
+from suspnet.trains.pages.bogie import bogie_of, bogies_shown, small_figures, visits_of
 from suspnet.trains.pages.overview import FleetView, finding, overview_row
 from suspnet.trains.pages.tables import files_read_as, sensor_rows, trip_table
 from suspnet.trains.pages.templates import MARKS

@@ -15,9 +15,7 @@ from sqlalchemy.engine import URL, Connection, Engine, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, SQLAlchemyError
 
 from suspnet.ground.extras import install_command
-from suspnet.ground.findings import (
-    at,
-)
+from suspnet.ground.findings import at
 from suspnet.ground.ledger import ACTING, check_own
 from suspnet.trains.history.schema import OLDEST, SCHEMA, metadata, versions
 

@@ -39,12 +39,7 @@ from suspnet.trains.pages.output import (
 from suspnet.trains.pages.overview import Evaluated
 from suspnet.trains.pages.report import Report
 from suspnet.trains.recordings.manifest_files import ManifestFile, partial_words
-from suspnet.trains.trips.commissionings import (
-    commissionings,
-    eras,
-    models_of,
-    with_truth_of_each,
-)
+from suspnet.trains.trips.commissionings import commissionings, eras, models_of, with_truth_of_each
 from suspnet.trains.trips.earlier import FinishedTrips, with_earlier
 from suspnet.trains.trips.grouping import Group, find_groups
 from suspnet.trains.trips.trip import evaluate_trip, lost_trip

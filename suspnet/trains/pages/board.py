@@ -18,13 +18,7 @@ from suspnet.ground.storage import content_hash
 from suspnet.trains.history import History, HistoryError
 from suspnet.trains.maintenance.change import ChangeSettings
 from suspnet.trains.maintenance.plan import Plan, PlanSettings, plan_of
-from suspnet.trains.maintenance.state import (
-    FleetStates,
-    KeptState,
-    State,
-    by_urgency,
-    fleet_state,
-)
+from suspnet.trains.maintenance.state import FleetStates, KeptState, State, by_urgency, fleet_state
 from suspnet.trains.pages.kept import keep_overviews, kept_state
 from suspnet.trains.pages.overview import FleetView, fleet_view
 

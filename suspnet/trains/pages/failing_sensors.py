@@ -2,15 +2,7 @@
 
 from collections.abc import Collection, Iterable, Sequence
 
-from suspnet.ground.findings import (
-    OF,
-    WITHOUT_SENSORS,
-    Finding,
-    at,
-    kind_is,
-    parts_of,
-    together,
-)
+from suspnet.ground.findings import OF, WITHOUT_SENSORS, Finding, at, kind_is, parts_of, together
 from suspnet.ground.parameters import Cause
 from suspnet.ground.records import TripResult, sensors_from_text
 from suspnet.trains.maintenance.series import N_LAST

@@ -13,14 +13,7 @@ from scipy.io import wavfile
 
 from suspnet.ground.extras import import_extra
 from suspnet.ground.findings import Finding
-from suspnet.trains.recordings.columns import (
-    Block,
-    Column,
-    OpenFile,
-    Take,
-    size_of,
-    slices,
-)
+from suspnet.trains.recordings.columns import Block, Column, OpenFile, Take, size_of, slices
 from suspnet.trains.recordings.errors import TripError
 
 BEXT_DATE = slice(320, 338)

@@ -25,12 +25,7 @@ from suspnet.ground.records import Place
 from suspnet.ground.settings import Setting, check_number, check_settings, setting
 from suspnet.ground.types import FloatArray
 from suspnet.trains.recordings.manifest import CHANNELS
-from suspnet.trains.simulation.signals import (
-    Journey,
-    Sensor,
-    service_journey,
-    steady_journey,
-)
+from suspnet.trains.simulation.signals import Journey, Sensor, service_journey, steady_journey
 from suspnet.vehicle.track import track_spectrum
 
 FIRST_DAY = datetime(2015, 8, 3, 6, tzinfo=UTC)
