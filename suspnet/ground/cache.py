@@ -13,78 +13,59 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
-from safetensors.numpy import save
 
 from suspnet.ground.storage import (
     MOST_BYTES,
     content_hash,
+    dump_arrays,
     load_arrays,
     read_plain,
     write_atomically,
 )
 
 log = logging.getLogger(__name__)
-ABOUT = "suspnet"
-"""Header entry with the description from which the arrays were made, notes and a checksum."""
-Arrays = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
 class Cache:
     """Arrays and notes in a folder, by the description from which they were made.
 
-    A file contains the arrays, the notes, the description and a checksum of all of these. A file
+    A file contains the notes and the arrays, after a checksum of these and the description. A file
     that does not match is ignored with a warning. A folder that cannot be read or written is
-    ignored with one warning. With `folder` None nothing is stored. `kind` starts the file names.
+    ignored with one warning.
     """
 
-    folder: Path | str | None
-    kind: str
+    folder: Path
 
     def read(self, made_from: Any) -> tuple[dict[str, NDArray[Any]], Any] | None:
         """Return arrays and notes made from a JSON-able description; None if they are missing."""
-        if self.folder is None:
-            return None
         path = self.path(made_from)
         try:
-            content = read_plain(path, MOST_BYTES)
-            arrays = load_arrays(content, str(path))
-            about = _about(content)
+            checksum, _, content = read_plain(path, MOST_BYTES).partition(b"\n")
+            if checksum != _checksum(made_from, content):
+                raise ValueError(f"{path} does not match its checksum")
+            notes, _, arrays = content.partition(b"\n")
+            return load_arrays(arrays, str(path)), json.loads(notes)
         except FileNotFoundError:
             return None
-        except (ValueError, LookupError, TypeError, RecursionError, MemoryError) as error:
+        except (ValueError, RecursionError, MemoryError) as error:
             log.warning("ignoring a damaged cache file: %s", " ".join(str(error).split()))
-            return None
         except OSError as error:
             _warn_once(str(self.folder), "read", str(error.strerror or error))
-            return None
-        if about.get("sha256") != _checksum(arrays, about.get("made_from"), about.get("notes")):
-            log.warning("ignoring a damaged cache file: %s does not match its checksum", path)
-        elif about.get("made_from") != json.loads(json.dumps(made_from)):
-            log.warning("ignoring a damaged cache file: %s was made from something else", path)
-        else:
-            return arrays, about.get("notes")
         return None
 
-    def write(self, made_from: Any, arrays: Arrays, notes: Any = None) -> None:
+    def write(self, made_from: Any, arrays: Mapping[str, NDArray[Any]], notes: Any) -> None:
         """Store arrays and JSON-able notes that were made from a JSON-able description."""
-        if self.folder is None:
-            return
-        arrays = {name: np.array(array, order="C") for name, array in arrays.items()}
-        about = {"made_from": made_from, "notes": notes}
-        about["sha256"] = _checksum(arrays, made_from, notes)
-        content = save(arrays, {ABOUT: json.dumps(about)})
+        content = json.dumps(notes).encode() + b"\n" + dump_arrays(arrays)
         try:
-            write_atomically(self.path(made_from), content)
+            write_atomically(self.path(made_from), _checksum(made_from, content) + b"\n" + content)
         except OSError as error:
             _warn_once(str(self.folder), "written", str(error.strerror or error))
 
     def path(self, made_from: Any) -> Path:
         """Return the path of the file for a description."""
-        assert self.folder is not None
-        return Path(self.folder) / f"{self.kind}-{content_hash(made_from)[:32]}.safetensors"
+        return self.folder / f"{content_hash(made_from)[:32]}.cache"
 
 
 @functools.cache
@@ -97,21 +78,10 @@ def code_hash() -> str:
     return digest.hexdigest()
 
 
-def _checksum(arrays: Arrays, made_from: Any, notes: Any) -> str:
-    """Return the SHA-256 of arrays with names, types and shapes, description and notes."""
-    digest = hashlib.sha256(json.dumps([made_from, notes], sort_keys=True).encode())
-    for name in sorted(arrays):
-        array = arrays[name]
-        digest.update(json.dumps([name, array.dtype.str, array.shape]).encode())
-        digest.update(np.ascontiguousarray(array).data)
-    return digest.hexdigest()
-
-
-def _about(content: bytes) -> dict[str, Any]:
-    """Return the entry ``ABOUT`` of a file's header; {} if there is none."""
-    header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
-    about = json.loads(header.get("__metadata__", {}).get(ABOUT, "{}"))
-    return about if isinstance(about, dict) else {}
+def _checksum(made_from: Any, content: bytes) -> bytes:
+    """Return the SHA-256 of a description and what was made from it, in hexadecimal digits."""
+    digest = hashlib.sha256(content_hash(made_from).encode() + content)
+    return digest.hexdigest().encode()
 
 
 @functools.cache

@@ -21,7 +21,7 @@ from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
 from suspnet.ground.records import NO_ESTIMATE
-from suspnet.ground.storage import read_arrays, read_plain
+from suspnet.ground.storage import load_arrays, read_plain
 from suspnet.trains.jobs import fleet
 from suspnet.trains.jobs.fleet import FleetSettings, evaluate_fleet
 from suspnet.trains.maintenance.alarms import Alarm
@@ -355,7 +355,7 @@ def test_interrupted_run_leaves_only_whole_files(
     monkeypatch.undo()
     files = {p for p in out.rglob("*") if p.is_file()}
     kept = {p for p in files if p.parent.name == finished.FOLDER}
-    assert all(read_arrays(p) for p in kept)
+    assert all(load_arrays(p.read_bytes().split(b"\n", 2)[2], p.name) for p in kept)
     left = {p.name for p in files - kept}
     assert "report.html" not in left
     assert not [name for name in left if name.startswith(".")]

@@ -48,7 +48,7 @@ class FinishedTrips:
     """
 
     def __init__(self, folder: Path, models: Sequence[Model], settings: TripSettings) -> None:
-        self._cache = Cache(folder / FOLDER, "trip")
+        self._cache = Cache(folder / FOLDER)
         self._common = {
             "models": [fingerprint(model) for model in models],
             "settings": asdict(settings),
