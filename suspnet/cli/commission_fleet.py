@@ -23,7 +23,7 @@ from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground import ledger
 from suspnet.ground.extras import check_extra, optional
 from suspnet.ground.progress import bar as progress_bar
-from suspnet.ground.settings import check_values, setting
+from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.storage import read_json, write_atomically, write_json
 from suspnet.ground.workers import LostWorkerError, each
 from suspnet.runs.sweeps import run_errors
@@ -42,7 +42,7 @@ TrainOne = Callable[[DictConfig, Path, "Sequence[ManifestFile]"], None]
 
 @dataclass(frozen=True)
 class HealthySettings:
-    """Numbers of a training on healthy trips."""
+    """Numbers of a training on healthy trips; TypeError or ValueError if one is wrong."""
 
     n_healthy: int | None = setting(
         5,
@@ -56,6 +56,9 @@ class HealthySettings:
         low=1,
         most=1024,
     )
+
+    def __post_init__(self) -> None:
+        check_settings(self)
 
 
 @dataclass(frozen=True)
@@ -92,7 +95,7 @@ def train_fleet(
     folder, place, misfit and rms errors of each suspension; otherwise the remaining suspensions are
     trained first, then a ValueError is raised. `train_one` must be picklable.
     """
-    check_values(HealthySettings, workers=config.workers)
+    HealthySettings(workers=config.workers)  # raises if it is wrong
     # finished runs stay; a resumed run trains only the missing ones
     failed = {group.name: group.error for group in groups if group.error}
     numbers = first_trips(config.n_healthy, [group.name for group in groups])
@@ -154,7 +157,7 @@ def first_trips(wanted: Any, names: Sequence[str]) -> dict[str, int | None]:
             f"), as n_healthy={{{names[0]}:5,...}}; it names {', '.join(map(str, numbers))}"
         )
     for number in numbers.values():
-        check_values(HealthySettings, n_healthy=number)
+        HealthySettings(number)  # raises if it is wrong
     return numbers
 
 

@@ -32,7 +32,7 @@ from suspnet.estimation.flags import Residual
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.extras import optional
 from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
-from suspnet.ground.settings import check_choice, check_values
+from suspnet.ground.settings import check_choice
 from suspnet.ground.wording import command, span
 from suspnet.runs.dataset import write_dataset
 from suspnet.runs.fit import check_hyperparameters
@@ -234,7 +234,7 @@ def _commissioned(
         return None
     # wrong settings are refused before minutes of reading
     settings, trips = _check_healthy(config), TripSettings()
-    check_values(HealthySettings, n_healthy=config.n_healthy)
+    HealthySettings(config.n_healthy)  # raises if it is wrong
     generator = check_generator(build(config, "generator"))
     settings = settings.bound(generator.vehicle)
     healthy = read_healthy(

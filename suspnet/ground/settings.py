@@ -16,9 +16,8 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 class Setting:
     """Description and valid values of a setting.
 
-    A dataclass declares it with the field, by `setting` or in the annotation; other classes have a
-    mapping `settings` from arguments. Bounds are those of `check_number`. `rule` is unit and range
-    as text, if type and bounds do not cover them.
+    A dataclass declares it with the field, by `setting` or in the annotation. Bounds are those of
+    `check_number`. `rule` is unit and range as text, if type and bounds do not cover them.
 
     Examples
     --------
@@ -100,27 +99,18 @@ def check_settings(values: Any, prefix: str = "") -> None:
         declared.check(f"{prefix}.{name}" if prefix else name, getattr(values, name))
 
 
-def check_values(class_: Any, **values: Any) -> None:
-    """Check values of some settings of a class, before an object is created."""
-    for name, value in values.items():
-        settings_of(class_)[name].check(name, value)
-
-
 @functools.cache
 def settings_of(class_: Any) -> Mapping[str, Declared]:
-    """Return the settings that a class declares, by name."""
-    if is_dataclass(class_):
-        declared = {f.name: f.metadata.get("setting") for f in fields(class_)}
-        hints = get_type_hints(class_, include_extras=True)
-    else:
-        declared = getattr(class_, "settings", {})
-        hints = get_type_hints(class_.__init__)
-    settings = {}
-    for name, hint in hints.items():
+    """Return the settings that a dataclass declares, by name; none of any other class."""
+    if not is_dataclass(class_):
+        return {}
+    settings, hints = {}, get_type_hints(class_, include_extras=True)
+    for field_ in fields(class_):
+        hint = hints[field_.name]
         type_, note = get_args(hint)[:2] if get_origin(hint) is Annotated else (hint, None)
-        declaration = declared.get(name) or note
+        declaration = field_.metadata.get("setting") or note
         if isinstance(declaration, Setting):
-            settings[name] = _declared(name, type_, declaration)
+            settings[field_.name] = _declared(field_.name, type_, declaration)
     return settings
 
 

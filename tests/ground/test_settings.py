@@ -5,7 +5,7 @@ import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import pytest
@@ -17,7 +17,6 @@ from suspnet.ground.settings import (
     Setting,
     check_number,
     check_settings,
-    check_values,
     setting,
     settings_of,
 )
@@ -137,15 +136,3 @@ def test_numbers_within_the_rule_pass(value, rule):
 def test_message_names_setting_rule_and_value(value, rule, error, message):
     with pytest.raises(error, match=re.escape(f"`x` must be {message}")):
         check_number("x", value, **rule)
-
-
-def test_other_classes_declare_their_arguments_in_a_mapping():
-    class Source:
-        settings: ClassVar = {"poll_s": Setting("Time between two looks", "s", low=0.01, high=60)}
-
-        def __init__(self, poll_s: float = 0.5) -> None:
-            check_values(Source, poll_s=poll_s)
-
-    assert settings_of(Source)["poll_s"].setting.unit == "s"
-    with pytest.raises(ValueError, match="`poll_s` must be"):
-        Source(0.0)

@@ -6,14 +6,15 @@ import re
 import stat
 import time
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, ClassVar, Literal, NamedTuple
+from typing import Annotated, BinaryIO, Literal, NamedTuple
 
 import pyarrow as pa
 
 from suspnet.ground.ledger import free_name
-from suspnet.ground.settings import Setting, check_values
+from suspnet.ground.settings import Setting, check_settings, setting
 from suspnet.ground.storage import DamagedFileError, open_plain
 from suspnet.trains.recordings.frames import MOST_BYTES, FrameError, decode
 
@@ -41,6 +42,7 @@ class _File(NamedTuple):
     n_returned: int
 
 
+@dataclass(eq=False)
 class DropFolder:
     """Source of the frames in files, of one or more frames each.
 
@@ -55,22 +57,18 @@ class DropFolder:
     place and the times that the folder was "unreachable".
     """
 
-    settings: ClassVar[Mapping[str, Setting]] = {
-        "folder": Setting("Folder into which files are renamed once they are whole", rule="path"),
-        "then": Setting("Whether a file that was read is moved to taken/ or deleted"),
-        "poll_s": Setting("Time between two scans of the folder", "s", low=0.01, high=60),
-        "once": Setting("Whether to end when all files were read"),
-    }
+    folder: Annotated[
+        Path, Setting("Folder into which files are renamed once they are whole", rule="path")
+    ]
+    then: Literal["move", "delete"] = setting(
+        "move", "Whether a file that was read is moved to taken/ or deleted"
+    )
+    poll_s: float = setting(0.5, "Time between two scans of the folder", "s", low=0.01, high=60)
+    once: bool = setting(False, "Whether to end when all files were read")
 
-    def __init__(
-        self,
-        folder: str | Path,
-        then: Literal["move", "delete"] = "move",
-        poll_s: float = 0.5,
-        once: bool = False,
-    ) -> None:
-        check_values(DropFolder, then=then, poll_s=poll_s, once=once)
-        self.folder, self.then, self.poll_s, self.once = Path(folder), then, poll_s, once
+    def __post_init__(self) -> None:
+        check_settings(self)
+        self.folder = Path(self.folder)
         self.counts: Counter[str] = Counter()
         self._suspensions: frozenset[str] = frozenset()
         self._waiting: deque[Path] = deque()

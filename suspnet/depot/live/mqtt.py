@@ -9,12 +9,13 @@ import re
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 from suspnet.depot.live.broker import KEEPALIVE_S, Broker
 from suspnet.ground.extras import import_extra
-from suspnet.ground.settings import Setting, check_values
+from suspnet.ground.settings import check_settings, setting
 from suspnet.trains.recordings.frames import MOST_BYTES
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ same name connects. Mosquitto 2.0.11 states none."""
 CLOSING_S = 5.0  # longest time that `close` waits until acknowledgements are sent
 
 
+@dataclass(eq=False)
 class Mqtt:
     """Source of the frames on the topics PREFIX/frames/SUSPENSION, percent-encoded.
 
@@ -42,41 +44,36 @@ class Mqtt:
     "disconnect", "reconnect", "unreachable", "rejected", and the "size" of a message.
     """
 
-    settings: ClassVar[Mapping[str, Setting]] = {
-        "client_id": Setting(
-            "Name by which the broker knows the monitor and stores frames for it", rule="text"
-        ),
-        "part": Setting(
-            'Which of several monitors that share a broker this is: "2/4" takes the suspensions of '
-            "the second of four parts",
-            rule="text; K/N with K at most N",
-        ),
-        "in_flight": Setting(
-            "Number of frames that may be on the way to the monitor, in its memory",
-            low=1,
-            high=65535,
-        ),
-        "session_h": Setting(
-            "Time for which the broker stores frames for a disconnected monitor",
-            "h",
-            above=0,
-            high=10000,
-        ),
-    }
+    broker: Broker = field(default_factory=Broker)
+    client_id: str = setting(
+        "suspnet-monitor",
+        "Name by which the broker knows the monitor and stores frames for it",
+        rule="text",
+    )
+    part: str = setting(
+        "1/1",
+        'Which of several monitors that share a broker this is: "2/4" takes the suspensions of '
+        "the second of four parts",
+        rule="text; K/N with K at most N",
+    )
+    in_flight: int = setting(
+        2000,
+        "Number of frames that may be on the way to the monitor, in its memory",
+        low=1,
+        high=65535,
+    )
+    session_h: float = setting(
+        24.0,
+        "Time for which the broker stores frames for a disconnected monitor",
+        "h",
+        above=0,
+        high=10000,
+    )
 
-    def __init__(
-        self,
-        broker: Broker | None = None,
-        client_id: str = "suspnet-monitor",
-        part: str = "1/1",
-        in_flight: int = 2000,
-        session_h: float = 24.0,
-    ) -> None:
-        check_values(Mqtt, in_flight=in_flight, session_h=session_h)
-        self.broker = Broker() if broker is None else broker
-        self.shard, self.n_shards = read_shard(part)
-        self.client_id = f"{client_id}-{self.shard}-of-{self.n_shards}"
-        self.in_flight, self.session_h = in_flight, session_h
+    def __post_init__(self) -> None:
+        check_settings(self)
+        self.shard, self.n_shards = read_shard(self.part)
+        self.client_name = f"{self.client_id}-{self.shard}-of-{self.n_shards}"
         self.is_connected = False
         self.counts: Counter[str] = Counter()
         self._client: Client | None = None
@@ -98,7 +95,7 @@ class Mqtt:
         """Start to connect; return the suspensions of this process. See `FrameSource`."""
         subscribed = [name for name in suspensions if is_in_shard(name, self.shard, self.n_shards)]
         self._topics = [self.broker.topic(name) for name in subscribed]
-        client = self.broker.client(self.client_id, manual_ack=True)
+        client = self.broker.client(self.client_name, manual_ack=True)
         client.on_connect, client.on_disconnect = self._on_connect, self._on_disconnect
         client.on_connect_fail, client.on_message = self._on_connect_fail, self._on_message
         client.on_subscribe = self._on_subscribe
@@ -128,8 +125,8 @@ class Mqtt:
             if self._is_replaced:
                 raise ValueError(
                     f"the broker at {self.broker.where}: another monitor has connected as "
-                    f"{self.client_id!r}; give each a `part` (source.part=1/2, source.part=2/2) or "
-                    "a `client_id` of its own"
+                    f"{self.client_name!r}; give each a `part` (source.part=1/2, source.part=2/2) "
+                    "or a `client_id` of its own"
                 )
             arrived = list(self._arrived)
             self._arrived.clear()
