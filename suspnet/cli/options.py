@@ -129,6 +129,7 @@ def history_parser() -> ArgumentParser:
         metavar="list | event | alarms | acknowledge | export | notify | backup | restore",
     )
     does.add_parser("list", help="each suspension with its trips and maintenance")
+    # what people tell the store: maintenance that was done, and alarms that they have seen
     event = does.add_parser(
         "event", help="add maintenance: severities and tests for changes use later trips only"
     )

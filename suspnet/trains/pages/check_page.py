@@ -235,7 +235,7 @@ def summary(checks: Sequence[TripCheck], elsewhere: Sequence[str] = ()) -> str:
     """
     rows = []
     for check in checks:
-        if not np.isfinite(check.duration_s):
+        if not np.isfinite(check.duration_s):  # nothing was read: its problem is listed below
             continue
         speeds = [part.speed_m_per_s for part in check.parts]
         coherences = [(p.coherence_p, p.coherence_s) for p in check.parts[:1]]
@@ -261,6 +261,7 @@ def summary(checks: Sequence[TripCheck], elsewhere: Sequence[str] = ()) -> str:
     for title, several in suspensions(checks).items():
         lines += ["", f"{title}: {'; '.join(suspension_sentences(several))}"]
     lines += train_words(checks)
+    # trips of a folder tend to have the same faults: each is said once
     problems = _by_words((check.name, check.problems) for check in checks)
     remarks = _by_words((check.name, check.remarks) for check in checks)
     for title, listed in (

@@ -87,6 +87,7 @@ def kept_state(key: Key, text: str) -> KeptState:
 def _kept_state(key: Key, content: dict[str, Any]) -> KeptState:
     vehicle, place = key
     row, bogie = _texts(content["row"]), content["bogie"]
+    # others may write to the store: a page must not meet a type that it does not expect
     is_text = dict.fromkeys(row, False) | _is_text()  # the columns of parts are numbers
     if any(isinstance(row[name], str) != is_text[name] for name in is_text):
         raise TypeError("a text is a number, or a number a text")
@@ -98,6 +99,7 @@ def _kept_state(key: Key, content: dict[str, Any]) -> KeptState:
             raise ValueError("parts of a bogie")
         bogie = Bogie(parts, _texts(bogie["groups"]))
     lives = {}
+    # only finite samples are kept: most lives have no end in sight
     for name, (model, size, finite_km) in content["lives"].items():
         samples_km = np.full(int(size), np.inf)
         samples_km[: len(finite_km)] = np.array(finite_km, dtype=float)

@@ -204,6 +204,7 @@ def write_pages(report: Report, output: Path, *, draw: bool = True) -> None:
 def _metrics(report: Report) -> dict[str, Any]:
     results, state = report.results, report.state
     severity, sentence = overall(state.assessments)
+    # the state that the report shows too, so that programs and people read the same verdict
     return {
         "severity": str(severity),
         "verdict": sentence,
@@ -218,11 +219,8 @@ def _metrics(report: Report) -> dict[str, Any]:
         "trends": [
             asdict(assessment.trend)
             | {
-                "changed": assessment.trend.changed,
                 "severity": str(assessment.severity),
                 "words": assessment.words,
-            }
-            | {
                 "now": assessment.now,
                 "life": _life_row(assessment.life),
                 "unknown_life": assessment.unknown_life,

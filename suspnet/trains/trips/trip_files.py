@@ -118,6 +118,7 @@ def read_table(path: Path) -> dict[str, dict[str, Stated]]:
     ignored. ValueError if none names files, a name is given twice or a value cannot be read.
     """
     data = read_plain(path)
+    # as spreadsheets save it: in UTF-8 or in the code page of Windows, with any usual delimiter
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -133,6 +134,7 @@ def read_table(path: Path) -> dict[str, dict[str, Stated]]:
     file = next((i for i, name in enumerate(names) if name.lower() in FILE_NAMES), None)
     if file is None:
         raise ValueError(f"{path}: no column is called file, trip, Datei or Fahrt; it has {names}")
+    # a row without a name, or with one for the second time, would be lost or win by chance
     table: dict[str, dict[str, Stated]] = {}
     for number, row in enumerate(rows[1:], start=2):
         trip = row[file].strip() if len(row) > file else ""
@@ -144,6 +146,7 @@ def read_table(path: Path) -> dict[str, dict[str, Stated]]:
             key = key_of(name)
             if not key or not cell.strip():
                 continue
+            # where ; delimits, a comma is that of a decimal; else the language of the name decides
             value = read_value(key, name, cell, is_german=delimiter == ";" and "." not in cell)
             if value is None:
                 unit = "; give its unit, as 252 km/h or 70 m/s" if key == "speed" else ""
