@@ -190,7 +190,7 @@ def nystroem(
         chosen = torch.randperm(len(X), generator=generator(seed))[:n_candidates].sort().values
     candidates = X[chosen.to(X.device)]
     n_pivots = min(n_components, len(candidates))
-    pivots = pivoted_cholesky(candidates.double(), sigma, n_pivots, seed, kernel_tol)
+    pivots, _ = partial_cholesky(candidates.double(), sigma, n_pivots, seed, kernel_tol)
     return _landmarks(X, candidates[pivots], sigma)
 
 
@@ -201,28 +201,21 @@ def exact(
     return KernelColumns(X, torch.tensor(float(sigma), dtype=X.dtype, device=X.device))
 
 
-def pivoted_cholesky(
+def partial_cholesky(
     X: Tensor,
     sigma: float,
     n_pivots: int,
     seed: int,
     kernel_tol: float = 0.0,
-    *,
     n_proposals: int = 64,
-) -> Tensor:
-    """Return row indices drawn in proportion to the residual of the kernel's diagonal.
-
-    `n_proposals` are drawn at a time, and each is accepted with the probability for which the
-    distribution is that of drawing one at a time (Epperly, Tropp and Webber, 2024). The search
-    stops when the mean of the residual is at most `kernel_tol`, or all of it is rounding.
-    """
-    return partial_cholesky(X, sigma, n_pivots, seed, kernel_tol, n_proposals)[0]
-
-
-def partial_cholesky(
-    X: Tensor, sigma: float, n_pivots: int, seed: int, kernel_tol: float, n_proposals: int = 64
 ) -> tuple[Tensor, Tensor]:
-    """Return the rows of `pivoted_cholesky`, and F (n_drawn, n_samples) with F^T F about K."""
+    """Return rows (n_drawn,) of X, and F (n_drawn, n_samples) with F^T F about the kernel K.
+
+    Rows are drawn in proportion to the residual of the kernel's diagonal: `n_proposals` at a time,
+    each accepted with the probability for which the distribution is that of drawing one at a time
+    (Epperly, Tropp and Webber, 2024). The search stops when the mean of the residual is at most
+    `kernel_tol`, or all of it is rounding.
+    """
     source = generator(seed)
     residual = X.new_ones(len(X))
     factor = X.new_zeros(n_pivots, len(X))

@@ -223,9 +223,6 @@ class MSVR(Regressor):
         tensors = {name: torch.tensor(state[f"map.{name}"], device=self.device) for name in names}
         with arrays_of("an MSVR"):
             self.coef_, self.intercept_ = state["coef"], self._restored(state["intercept"])
-            if self.feature_map == "exact" and "whitening" in tensors:
-                # models saved before dual coefficients: Phi = K V
-                self.coef_ = tensors.pop("whitening").double().numpy() @ self.coef_
             self._map = map_type(**tensors)
         self.n_features_in_ = self._map.n_inputs
         none = torch.zeros(1, self.n_features_in_, dtype=torch.float64, device=self.device)

@@ -140,20 +140,6 @@ def test_exact_kernel_in_a_tube_starts_near_the_minimum(C, sigma, n_outputs):
     assert quick.n_iter_ <= min(10, printed.n_iter_ / 3)
 
 
-def test_exact_models_saved_with_a_whitening_are_read():
-    X, Y = smooth_data(0, 60)
-    model = small(feature_map="exact").fit(X, Y)
-    values, vectors = np.linalg.eigh(
-        np.exp(-np.square(X[:, None] - X).sum(axis=2) / model.sigma**2)
-    )
-    kept = values > 1e-12
-    whitening = vectors[:, kept] / np.sqrt(values[kept])
-    old = model.state() | {"map.whitening": whitening}
-    old["coef"] = np.sqrt(values[kept])[:, None] * (vectors[:, kept].T @ model.coef_)
-    restored = small(feature_map="exact").restore(old)
-    np.testing.assert_allclose(restored.predict(X), model.predict(X), atol=1e-6, rtol=0)
-
-
 @pytest.mark.parametrize(
     ("solver", "fit_intercept"), [("newton", True), ("newton", False), ("irwls", True)]
 )
