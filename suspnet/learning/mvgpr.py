@@ -62,10 +62,9 @@ class MVGPR(Regressor):
     the same factor and dividing Omega by it changes nothing, so optimised values are reported with
     the mean of Omega's diagonal equal to 1. The mean of the outputs is subtracted.
 
-    Without an `optimizer` the three values are used as
-    they are; linearly dependent outputs are also fitted without it, as their likelihood is
-    unbounded. Further starts are drawn log-uniformly from Table V's ranges. `callback` gets a
-    ``LikelihoodEvaluation`` after each evaluation.
+    Without an `optimizer` the three values are used as they are; linearly dependent outputs are
+    also fitted without it, as their likelihood is unbounded. Further starts are drawn log-uniformly
+    from Table V's ranges. `callback` gets a ``LikelihoodEvaluation`` after each evaluation.
 
     A fit sets `length_scale_`, `signal_variance_`, `noise_variance_`, `omega_` (n_outputs,
     n_outputs), which is the covariance of the outputs up to the kernel's factor,
