@@ -77,7 +77,7 @@ def check_hyperparameters(estimator: Any) -> None:
     """Raise TypeError or ValueError if a setting of a method is invalid, before curves are made."""
     if hasattr(estimator, "check_parameters"):
         estimator.check_parameters()
-    elif isinstance(getattr(estimator, "settings", None), Mapping):
+    else:
         check_settings(estimator)
     if isinstance(device := getattr(estimator, "device", None), str):
         check_device(device)
