@@ -11,7 +11,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from suspnet import COMPONENTS, EstimateSettings, SpatialVehicle, layout_bounds, read_vehicles
-from suspnet.trains.identification.layouts import LAYOUTS
 
 plt.style.use("tableau-colorblind10")
 
@@ -23,10 +22,16 @@ plt.style.use("tableau-colorblind10")
 # how rough the track is, is unknown in every frequency bin.
 
 vehicle = SpatialVehicle(read_vehicles()["am96"], parts=("frame_sway", "frame_yaw"))
-CHOSEN = ("six: pairs, frame above the axle", "five: axle box on one side", "four: no axle box")
-layouts = {name: LAYOUTS[name] for name in CHOSEN}
-pairs = layouts[CHOSEN[0]]
-layouts["four: no frame"] = tuple(place for place in pairs if not place.startswith("frame"))
+boxes = ("axle_box_axle1_left", "axle_box_axle1_right")
+frame = ("frame_axle1_left", "frame_axle1_right")
+body = ("body_left", "body_right")
+pairs = (*boxes, *frame, *body)
+layouts = {
+    "six: a pair at each place": pairs,
+    "five: axle box on one side": (*boxes[:1], *frame, *body),
+    "four: no axle box": (*frame, *body),
+    "four: no frame": (*boxes, *body),
+}
 
 # %%
 # Where sensors should be
