@@ -23,30 +23,12 @@ MARGIN_M = 50.0
 """Length of track ahead of the first and behind the last wheelset [m]."""
 
 
-@dataclass(frozen=True)
-class OutOfRound:
-    """Wheels whose radius varies by `size_m` cos(`order` times the angle), of one diameter."""
-
-    order: int
-    size_m: float
-    diameter_m: float
-
-    def acceleration(
-        self, position_m: FloatArray, speed: FloatArray, acceleration: FloatArray
-    ) -> FloatArray:
-        """Return the vertical acceleration of the wheelset, [m/s^2]."""
-        per_m = 2 * self.order / self.diameter_m
-        bend, slope = np.cos(per_m * position_m), np.sin(per_m * position_m)
-        return -self.size_m * per_m * (per_m * speed**2 * bend + acceleration * slope)
-
-
 def simulate_trip(
     system: LinearSystem,
     profile: TrackProfile,
     journey: Journey,
     rate_hz: float,
     cross: TrackProfile | None = None,
-    wheels_of: OutOfRound | None = None,
     alignment: TrackProfile | None = None,
 ) -> FloatArray:
     """Return accelerations of axle box, frame and body along a trip, shape (3, n_samples), [m/s^2].
@@ -58,7 +40,6 @@ def simulate_trip(
     `profile` must be at least `profile_length_m` long. With roll, `cross` is an independent profile
     of `cross_level_spectrum`; the angle of the track is the system's `roll_per_m` times it. With
     lateral motion, the track's lateral place is the system's `alignment` times another profile.
-    `wheels_of` the measured wheelset are both out of round alike.
     """
     motion = SampledMotion(system, rate_hz)
     n_lead = round(_lead_in_s(journey) * rate_hz)
@@ -81,8 +62,6 @@ def simulate_trip(
             for behind in system.behind_m:
                 _, slope, curvature = track.at(start_m + position - behind)
                 wheels.append(squared * curvature + scaled * slope)
-        if wheels_of is not None:
-            wheels[measured] += wheels_of.acceleration(position, speed, acceleration)
         outputs = motion.advance(wheels).reshape(n_sides, n_places, len(times))
         # The lead-in is not part of the trip.
         of_trip = slice(max(0, -first), None)
