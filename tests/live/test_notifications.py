@@ -186,7 +186,7 @@ def test_a_failed_message_is_tried_again_later_and_given_up_in_the_end(told, cap
     assert "content" not in lost[0]
     attempts = [row["attempts"] for row in store.outbox().unsent()]
     n_given_up = sum(n >= outbox.MOST_ATTEMPTS for n in attempts)
-    (oldest,) = store.outbox().unsent(1)
+    oldest = store.outbox().unsent()[0]
     counts = len(attempts) - n_given_up, n_given_up, oldest["created_s"]
     assert store.outbox().count_unsent() == counts
     assert "given up" in caplog.text

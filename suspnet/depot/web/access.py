@@ -70,14 +70,12 @@ class Access:
             raise ValueError(f"`trusted_proxies` holds addresses or networks: {error}") from None
 
 
-def is_plain(text: str, allowed: str = "") -> bool:
-    """Return whether a text has no control characters and marks of direction but those `allowed`.
+def is_plain(text: str) -> bool:
+    """Return whether a text has no control characters and no marks of direction.
 
     These are the characters of the categories C of Unicode; also unassigned ones and surrogates.
     """
-    return all(
-        character in allowed or unicodedata.category(character)[0] != "C" for character in text
-    )
+    return all(unicodedata.category(character)[0] != "C" for character in text)
 
 
 def current_access() -> Access:

@@ -176,15 +176,15 @@ class Outbox:
         with self._writing() as connection:
             _update(connection, message.id, attempts=message.attempts + 1, **values)
 
-    def unsent(self, most: int = MOST_LISTED) -> list[dict[str, Any]]:
-        """Return at most `most` of the messages that no server has accepted yet, the oldest first.
+    def unsent(self) -> list[dict[str, Any]]:
+        """Return the messages that no server has accepted yet, the oldest ``MOST_LISTED`` first.
 
         They are rows without the content.
         """
         columns = [column for column in outbox.columns if column.name != "content"]
         chosen = sql.select(*columns).where(outbox.c.sent_s.is_(None))
         with self._reading() as connection:
-            rows = connection.execute(chosen.order_by(outbox.c.created_s).limit(most))
+            rows = connection.execute(chosen.order_by(outbox.c.created_s).limit(MOST_LISTED))
             return [dict(row) for row in rows.mappings()]
 
     def count_unsent(self) -> tuple[int, int, float | None]:

@@ -122,14 +122,14 @@ def trend_of_state(state: State) -> MileageTrend:
     return MileageTrend(tuple(panels), km, maintenance_km, again_km)
 
 
-def running_median(values: FloatArray, window: int = 5) -> FloatArray:
-    """Return the median of the `window` values around each, fewer near the ends.
+def running_median(values: FloatArray) -> FloatArray:
+    """Return the median of the five values around each, fewer near the ends.
 
     There are as many before as after, so that the line follows a slope to its first and last value.
-    `values`: (n_trips,), in the order of the mileage, without NaN; `window` is odd.
+    `values`: (n_trips,), in the order of the mileage, without NaN.
     """
     n = len(values)
-    halves = [min(i, n - 1 - i, window // 2) for i in range(n)]
+    halves = [min(i, n - 1 - i, 2) for i in range(n)]
     return np.array([np.median(values[i - half : i + half + 1]) for i, half in enumerate(halves)])
 
 
