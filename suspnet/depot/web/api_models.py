@@ -205,19 +205,23 @@ class JobAnswer(Answer):
     """Probability that the act limit is passed before the visit."""
 
 
-class Listed(Answer, Generic[Item]):
-    """Some items of a list, and how new they are."""
+class Listed(BaseModel, Generic[Item]):
+    """Some items of a list, and how new they are.
 
-    read_at: str
-    """When the store was read, ISO 8601."""
-    complete: bool
-    """Whether alarms, remaining lives and plan cover all stored trips."""
-    fault: str
-    """Why the answer may be out of date; empty if it is not."""
-    total: int
-    """Number of items without `limit` and `offset`."""
-    next_offset: int | None
-    """Offset of the following items; null if there are none."""
+    Its fields have no docstrings: pydantic would parse them again for each kind of item.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    read_at: str = Field(description="When the store was read, ISO 8601.")
+    complete: bool = Field(
+        description="Whether alarms, remaining lives and plan cover all stored trips."
+    )
+    fault: str = Field(description="Why the answer may be out of date; empty if it is not.")
+    total: int = Field(description="Number of items without `limit` and `offset`.")
+    next_offset: int | None = Field(
+        description="Offset of the following items; null if there are none."
+    )
     items: list[Item]
 
 
