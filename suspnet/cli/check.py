@@ -33,6 +33,7 @@ from suspnet.trains.pages.check_page import (
     write_checks,
 )
 from suspnet.trains.recordings.manifest_files import find_trips
+from suspnet.trains.trips.sensor_checks import NO_DIRECTION
 
 
 def check(arguments: Namespace) -> int:
@@ -117,6 +118,8 @@ def next_steps(
     if others or not folder.is_dir() or len(vehicles) != 1:
         return []
     when = "with the problems mended, run" if code else "then run"
+    if any(NO_DIRECTION in check.remarks for ready in ready_of for check in ready):
+        when = "with the direction of all trips stated, run"  # training refuses them without it
     if arguments.run:
         evaluation = command("evaluate", f"trips={folder}", f"run={listed(arguments.run)}")
         return [f"{when}: {evaluation}"]

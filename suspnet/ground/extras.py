@@ -84,4 +84,4 @@ def check_extra(extra: str, *modules: str) -> None:
 
 def install_command(extra: str) -> str:
     """Return the command that installs an extra, and where to run it."""
-    return f'pip install ".[{extra}]" in the folder of suspnet'
+    return f'pip install -e ".[{extra}]" in the folder of suspnet'

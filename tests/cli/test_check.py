@@ -35,6 +35,7 @@ from suspnet.trains.pages.check_page import (
     TOO_LITTLE,
     SteadyPart,
     TripCheck,
+    summary,
 )
 from suspnet.trains.recordings.formats import READERS
 from suspnet.trains.recordings.manifest_files import find_trips, read_manifest
@@ -255,6 +256,19 @@ def test_file_that_kills_its_reader_is_one_problem(manifests, tmp_path, monkeypa
         assert problem.startswith(f"{tmp_path / name}.mat: its reader ")
         assert one in problem
     assert told["good.yaml"]["state"] == READY
+
+
+def test_table_fits_a_terminal_whatever_the_names_and_speeds():
+    parts = tuple(SteadyPart(speed, 12.0, 0.991, 0.983, 2.0) for speed in (77.9, 48.2))
+    values = {"duration_s": 7205.0, "usable_percent": 100.0, "steady_percent": 99.0, "parts": parts}
+    names = ("a/2026_03_01_0815_of_the_first_logger", "short")
+    checks = [TripCheck(Path(f"{name}.yaml"), READY, label=name, **values) for name in names]
+    checks.append(TripCheck(Path("c.yaml"), READY, unchecked=True, sensors="x" * 90, **values))
+    table = [line for line in summary(checks).splitlines() if line.startswith("|")]
+    assert {len(line) for line in table} == {100}
+    assert "| \N{HORIZONTAL ELLIPSIS}" in table[2]
+    assert table[2].split("|")[1].strip().endswith("logger")
+    assert "| short " in table[3]
 
 
 def test_unknown_vehicle_is_told_and_may_be_given(manifests, tmp_path):

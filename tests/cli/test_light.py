@@ -83,4 +83,4 @@ def test_programs_of_trains_say_in_one_line_what_to_install(words, extra, tmp_pa
     assert done.returncode == 1
     (line,) = done.stderr.splitlines()
     assert line.startswith("error: ")
-    assert f'pip install ".[{extra}]" in the folder of suspnet' in line
+    assert f'pip install -e ".[{extra}]" in the folder of suspnet' in line

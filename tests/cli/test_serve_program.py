@@ -115,7 +115,7 @@ def test_missing_package_names_the_extra(refused, path, monkeypatch):
     monkeypatch.setattr(
         "importlib.util.find_spec", lambda name: None if name == "waitress" else name
     )
-    assert 'waitress is missing: pip install ".[live]"' in refused(f"store={path}")
+    assert 'waitress is missing: pip install -e ".[live]"' in refused(f"store={path}")
 
 
 @pytest.mark.representatives(1)

@@ -321,5 +321,5 @@ def test_host_is_that_of_the_environment_unless_it_is_given(monkeypatch):
 
 def test_missing_paho_says_how_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "paho.mqtt.client", None)
-    with pytest.raises(ValueError, match=r'pip install ".\[live\]"'):
+    with pytest.raises(ValueError, match=r'pip install -e ".\[live\]"'):
         Mqtt().subscribe([])

@@ -134,7 +134,7 @@ def test_missing_extra_is_named(tmp_path, monkeypatch, suffix, reader, module, e
     monkeypatch.setitem(sys.modules, module, None)
     path = tmp_path / f"data{suffix}"
     path.write_bytes(b"MDF     ")
-    refuses(path, SensorSource(path.name), rf'needs {module}; run: pip install ".\[{extra}\]"')
+    refuses(path, SensorSource(path.name), rf'needs {module}; run: pip install -e ".\[{extra}\]"')
 
 
 def test_channels_of_two_groups_are_not_mixed(tmp_path):

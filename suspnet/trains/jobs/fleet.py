@@ -242,7 +242,8 @@ def _report(
     write_pages(report, output, draw=figures)
     lines = [spoken(state.assessments), *sensor_lines(results, watched.alarms)]
     words = "\n".join([*lines, f"Alarms of changes: {armed}."])
-    log.info("%s\n%s: %s\n-> %s", summary(results, outputs), group.place, words, output)
+    page = output / "report.html"
+    log.info("%s\n%s: %s\n-> %s", summary(results, outputs), group.place, words, page)
     return Evaluated(group.name, group.place, results, state)
 
 

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from tabulate import tabulate
 from torch import Tensor
 
 from suspnet._version import __version__
@@ -24,6 +23,7 @@ from suspnet.ground.storage import printable, write_atomically, write_json
 from suspnet.ground.wording import files_of, span
 from suspnet.runs.figures import as_png, say
 from suspnet.runs.language import spoken
+from suspnet.runs.tables import narrow
 from suspnet.trains.pages.templates import write_page
 from suspnet.trains.pages.trip_figures import CHANNEL_TITLES, draw_signals
 from suspnet.trains.recordings.recording import Recording, overview
@@ -32,10 +32,12 @@ from suspnet.trains.trips.grouping import lone_trains
 READY, TOO_LITTLE, PROBLEM = "ready", "too little", "problem"
 """States of a trip: it is readable by the given models, or without any by a model of its speed; too
 little of it can be used; it cannot be opened, or its channels are swapped."""
-PARTLY = "ready, partly checked"
+PARTLY = "partly checked"
 """What is shown of a trip that is ready as far as it could be checked without its vehicle."""
 NEED_A_VEHICLE = "units, signs, swapped sensors and the direction of travel"
 """What can be checked only against the numbers of the vehicle."""
+TABLE_WIDTH = 100
+"""Width of the table of trips, that of a terminal, [characters]."""
 LISTED = 5
 """Largest number of trips that are listed for one problem."""
 TONES = {READY: "good", PARTLY: "notice", TOO_LITTLE: "notice", PROBLEM: "act"}
@@ -233,29 +235,10 @@ def summary(checks: Sequence[TripCheck], elsewhere: Sequence[str] = ()) -> str:
 
     `elsewhere` are problems outside the trips.
     """
-    rows = []
-    for check in checks:
-        if not np.isfinite(check.duration_s):  # nothing was read: its problem is listed below
-            continue
-        speeds = [part.speed_m_per_s for part in check.parts]
-        coherences = [(p.coherence_p, p.coherence_s) for p in check.parts[:1]]
-        is_steady = np.isfinite(check.steady_percent)
-        rows.append(
-            {
-                "trip": check.name,
-                "minutes": f"{check.duration_s / 60:.1f}",
-                "usable %": f"{check.usable_percent:.1f}",
-                "steady %": f"{check.steady_percent:.0f}" if is_steady else "",
-                "m/s": _ends(speeds, 1) if speeds else "",
-                "averages": f"{check.n_averages:.0f}",
-                "coherence": "".join(f"{p:.2f}, {s:.2f}" for p, s in coherences if np.isfinite(p)),
-                "sensors": check.sensors,
-                "state": check.shown,
-            }
-        )
     lines = [verdict(checks, elsewhere)]
-    if rows:
-        lines.append(tabulate(rows, "keys", tablefmt="github", disable_numparse=True))
+    # of a trip that was not read the problem is listed below
+    if read := [check for check in checks if np.isfinite(check.duration_s)]:
+        lines.append(_table(read))
     if any(check.steady_percent < check.usable_percent for check in checks):
         lines.append(USABLE)
     for title, several in suspensions(checks).items():
@@ -271,6 +254,29 @@ def summary(checks: Sequence[TripCheck], elsewhere: Sequence[str] = ()) -> str:
         if listed:
             lines += ["", f"{title}:", *(f"  {line}" for line in listed)]
     return "\n".join(lines)
+
+
+def _table(checks: Sequence[TripCheck]) -> str:
+    """Return a row for each trip; a name too long for the width of a terminal loses its start."""
+    header = ["min", "usable %", "steady %", "m/s", "averages", "coherence", "state"]
+    rows = []
+    for check in checks:
+        speeds = [part.speed_m_per_s for part in check.parts]
+        coherences = [(p.coherence_p, p.coherence_s) for p in check.parts[:1]]
+        rows.append(
+            [
+                f"{check.duration_s / 60:.1f}",
+                f"{check.usable_percent:.1f}",
+                f"{check.steady_percent:.0f}" if np.isfinite(check.steady_percent) else "",
+                _ends(speeds, 0) if speeds else "",
+                f"{check.n_averages:.0f}",
+                "".join(f"{p:.2f}, {s:.2f}" for p, s in coherences if np.isfinite(p)),
+                check.shown,
+            ]
+        )
+    room = TABLE_WIDTH - len(narrow(rows, header).splitlines()[0]) - len(" | ")
+    names = [c.name if len(c.name) <= room else f"…{c.name[1 - room :]}" for c in checks]
+    return narrow([[n, *row] for n, row in zip(names, rows, strict=True)], ["trip", *header])
 
 
 def _by_words(remarks: Iterable[tuple[str, Sequence[str]]]) -> list[tuple[str, str]]:

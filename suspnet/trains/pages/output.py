@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from matplotlib.figure import Figure
 from tabulate import tabulate
 
-from suspnet.ground.findings import Finding, together
+from suspnet.ground.findings import Finding, parts_of, together
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, PARAMETERS, Cause, Severity
 from suspnet.ground.records import OK, TripResult
 from suspnet.ground.storage import write_atomically, write_json, write_table
@@ -56,7 +56,7 @@ def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
         row = {"trip": r.trip, "1000 km": r.mileage_km / 1000}
         row |= {name: r.estimates.get(name) for name in columns}
         if of_parts:  # a table of its own has the estimates
-            row["worn parts"] = r.worn
+            row["worn parts"] = ", ".join(map(_short, parts_of(r.worn)))
         state = "flagged" if r.flags else "" if r.status == OK else r.status
         rows.append(row | {"averages": r.quality.n_averages, "state": state})
     header = list(rows[0]) if rows else ["trip"]
@@ -79,6 +79,15 @@ def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
     if of_parts:
         lines.append(f"\n{_part_table(results, of_parts)}")
     return "\n".join([*lines, *_reasons(results)])
+
+
+def _short(worn: str) -> str:
+    """Return a worn part in the few characters that a table has for it."""
+    if not isinstance(worn, Finding):
+        return worn  # of a history of an earlier version
+    names = worn.values["names"]
+    name = names[0] if len(names) == 1 else f"one of {len(names)} parts"
+    return f"{name} {worn.values['percent']:.0f} %"
 
 
 def _part_table(results: Sequence[TripResult], parts: Sequence[str]) -> str:

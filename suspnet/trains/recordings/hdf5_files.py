@@ -52,7 +52,7 @@ def open_mat(path: Path) -> Iterator[OpenFile]:
 @contextmanager
 def open_hdf5(path: Path) -> Iterator[OpenFile]:
     """Open an HDF5 file; data sets that need other files or plug-ins are refused by name."""
-    h5py = import_extra("h5py", "hdf5", f"{path}: an HDF5 file", TripError)
+    h5py = import_extra("h5py", "hdf5", "an HDF5 file", TripError)
     with h5py.File(path, "r", rdcc_nbytes=MOST_CHUNK_BYTES) as file:
         content = _Content(h5py, file)
         file.visititems(content.collect)  # h5py calls it for hard links only

@@ -40,7 +40,7 @@ ALL_INVALID = 1
 @contextmanager
 def open_mdf(path: Path) -> Iterator[OpenFile]:
     """Open an MDF file; each channel group has its own times."""
-    asammdf = import_extra("asammdf", "mdf", f"{path}: an MDF file", TripError)
+    asammdf = import_extra("asammdf", "mdf", "an MDF file", TripError)
     _disarm()
     with path.open("rb") as stream:
         version = stream.read(12)[8:].decode("latin-1")
@@ -169,7 +169,7 @@ Stated = list[tuple[int, dict[str, Any]]]
 @contextmanager
 def open_tdms(path: Path) -> Iterator[OpenFile]:
     """Open a TDMS file; columns are named "group/channel"."""
-    nptdms = import_extra("nptdms", "tdms", f"{path}: a TDMS file", TripError)
+    nptdms = import_extra("nptdms", "tdms", "a TDMS file", TripError)
     # Open the stream here because npTDMS does not close files that it fails to read.
     with path.open("rb") as stream, ExitStack() as stack:
         with _properties_of_segments() as stated:

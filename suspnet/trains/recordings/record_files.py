@@ -29,7 +29,7 @@ LENGTHS = {1: "m", 2: "ft", 3: "m", 4: "ft", 5: "mm", 6: "cm", 7: "in", 8: "mm",
 @contextmanager
 def open_uff(path: Path) -> Iterator[OpenFile]:
     """Open a universal file; each time record of type 58 is a column, which is read whole."""
-    pyuff = import_extra("pyuff", "uff", f"{path}: a universal file", TripError)
+    pyuff = import_extra("pyuff", "uff", "a universal file", TripError)
     file = pyuff.UFF(str(path))
     columns, records = _uff_columns(file)
 
