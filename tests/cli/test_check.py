@@ -108,7 +108,6 @@ def test_good_trips_are_ready_and_drawn(fleet, manifests):
     output, words = fleet
     assert words.startswith("2 of 2 trips ready for an estimate\n")
     assert "am96, simulated: 2 of 2 trips ready, 1000 to 2000 km, at 70.0 m/s" in words
-    assert "train with speed_m_per_s=70" in words
     assert "Problems" not in words
     trips = found_in(output)["trips"]
     assert [trip["state"] for trip in trips] == [READY] * N_GOOD
@@ -146,7 +145,7 @@ def test_each_steady_speed_is_a_part(manifests, tmp_path):
     (trip,) = found_in(tmp_path / "o")["trips"]
     assert sorted(part["speed_m_per_s"] for part in trip["parts"]) == pytest.approx([64.0, 76.0])
     assert 90 < trip["steady_percent"] < 100  # the segments across the step are left out
-    assert "at 64.0 to 76.0 m/s: train with speed_m_per_s=[62,78]" in done.stdout
+    assert "at 64.0 to 76.0 m/s" in done.stdout
 
 
 def test_slow_trip_holds_too_little_but_is_no_mistake(manifests, tmp_path):

@@ -14,8 +14,6 @@ from torch import Tensor
 
 from suspnet._version import __version__
 from suspnet.curves.cross_spectra import CrossSpectra
-from suspnet.curves.estimates import SPEED_HALF_WIDTH
-from suspnet.curves.speeds import covering, setting_words
 from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground.findings import Finding, at, together
 from suspnet.ground.records import Place
@@ -182,14 +180,9 @@ def suspension_sentences(checks: Sequence[TripCheck]) -> list[str]:
     ]
     speeds = [part.speed_m_per_s for check in ready for part in check.parts]
     if speeds:
-        setting = setting_words(covering(speeds, SPEED_HALF_WIDTH))
-        words[0] = Finding(
-            "read-by",
-            ready=words[0],
-            km=_ends([check.mileage_km for check in ready], 0),
-            speeds=_ends(speeds, 1),
-            read_by=ready[0].read_by or Finding("train-with", setting=setting),
-        )
+        km = _ends([check.mileage_km for check in ready], 0)
+        words[0] = Finding("ready-at", ready=words[0], km=km, speeds=_ends(speeds, 1))
+        words[0] = together((words[0], ready[0].read_by), ": ")
     if len(ready) < LEAST_TRIPS:
         words.append(Finding("more-trips-needed", least_trips=LEAST_TRIPS))
     kinds = sorted({check.sensors for check in ready})
