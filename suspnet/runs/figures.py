@@ -13,13 +13,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
+from suspnet.ground.findings import together
 from suspnet.ground.parameters import BOGIE_PARTS, ESTIMATED, kind_of, place_words
 from suspnet.runs.language import spoken
 
 MILEAGE_LABEL = "mileage [1000 km]"
 SUSPENSIONS = ("primary suspension, $G_p$", "secondary suspension, $G_s$")
 SYMBOLS = {
-    name: f"${kind_of(name)}$" + (f" {place_words(name)}" if name in BOGIE_PARTS else "")
+    name: together((f"${kind_of(name)}$", place_words(name) if name in BOGIE_PARTS else ""), " ")
     for name in ESTIMATED
 }
 

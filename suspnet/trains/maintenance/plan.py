@@ -21,7 +21,7 @@ from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import ESTIMATED, Severity, part_words
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.types import FloatArray
-from suspnet.ground.wording import thousands
+from suspnet.ground.wording import natural, thousands
 from suspnet.trains.maintenance.state import WINDOW_DAYS, State
 
 URGENCIES = UNKNOWN, NOW, SOON, LATER = "unknown", "now", "soon", "later"
@@ -279,7 +279,7 @@ def make_plan(
     visits: list[Visit] = []
     unknown: list[Job] = []
     n_quiet = 0
-    for name, parts_of_train in sorted(of_train.items()):
+    for name, parts_of_train in sorted(of_train.items(), key=lambda item: natural(item[0])):
         calendar = _Calendar(named[name], settings, today)
         due = [(calendar.due_day(part), part) for part in map(calendar.as_known, parts_of_train)]
         rest = [part for days, part in due if days >= settings.horizon_days]

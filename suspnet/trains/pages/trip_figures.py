@@ -12,7 +12,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from suspnet.ground.findings import Finding
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.records import Overview, TripCurves, TripResult
 from suspnet.ground.types import FloatArray
 from suspnet.runs.figures import MILEAGE_LABEL, SUSPENSIONS, say
@@ -70,7 +70,7 @@ def draw_signals(axes: Sequence[Axes], seen: Overview) -> None:
         axis.margins(x=0.01)
         axis.grid(True, alpha=0.3)
     for axis, channel in zip(axes, CHANNEL_TITLES, strict=False):
-        axis.set_ylabel(f"{channel}\n[m/s²]")
+        axis.set_ylabel(together((channel, "[m/s²]"), "\n"))
     axes[3].set(ylabel="speed\n[km/h]", xlabel=f"time [{'min' if minutes else 's'}]")
 
 
