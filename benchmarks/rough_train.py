@@ -11,6 +11,7 @@ a line for each set: misfit, rms errors and coverage by kind of part, parts name
 import csv
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,9 +26,8 @@ from tabulate import tabulate
 from vehicles import AM96
 
 import suspnet
-from suspnet.estimation.flags import with_bogie_doubt
 from suspnet.ground.parameters import COMPONENTS
-from suspnet.trains.fits.bogie_fit import fit_parts, with_further_parts
+from suspnet.trains.fits.bogie_fit import FURTHER_PARTS, fit_parts
 from suspnet.trains.identification.bogie_trips import PARTS_OF_BOGIE
 from suspnet.trains.simulation import Fleet
 
@@ -62,28 +62,37 @@ def read(name, seed, options, folder):
     )
     print(f"{name}, {seed}: {time.perf_counter() - begun:.0f} s to simulate", flush=True)
     vehicle = suspnet.SpatialVehicle(AM96, parts=PARTS_OF_BOGIE, distribution="prior")
+    manifests = [suspnet.read_manifest(path) for path in paths]
+    celsius = [manifest.temperature_c for manifest in manifests]
     trips = [
-        suspnet.bogie_trip(suspnet.load_recording(suspnet.read_manifest(path), 100.0), vehicle)
-        for path in paths
+        suspnet.bogie_trip(suspnet.load_recording(manifest, 100.0), vehicle)
+        for manifest in manifests
     ]
     begun = time.perf_counter()
-    commissioned = suspnet.commission_bogie(vehicle, trips[: options.healthy])
-    commissioned = with_further_parts(commissioned, vehicle, trips[: options.healthy])
+    healthy, temperatures_c = trips[: options.healthy], celsius[: options.healthy]
+    commissioned = suspnet.commission_bogie(
+        vehicle, healthy, temperatures_c, further_parts=FURTHER_PARTS
+    )
     took = time.perf_counter() - begun
     print(f"{name}, {seed}: {took:.0f} s, misfit {commissioned.misfit:.2f}", flush=True)
     head = {"set": name, "seed": seed, "minutes": options.minutes, "n_healthy": options.healthy}
     head |= {"healthy_misfit": f"{commissioned.misfit:.3f}", "commission_s": f"{took:.0f}"}
     head |= {"commission_is_done": int(commissioned.converged)}
     later = range(options.healthy, len(trips))
-    doubt = {"has_converged": commissioned.converged, "misfit": commissioned.misfit}
     rows = []
     for i in later:
-        found = fit_parts(commissioned, trips[i])
-        flags = with_bogie_doubt(found.as_estimate().flags, **doubt).flagged[0]
-        is_flagged = flags or not found.converged  # as by estimate_parts
+        found = at_healthy_temperature(fit_parts(commissioned, trips[i]), commissioned, celsius[i])
+        is_flagged = not (commissioned.converged and found.converged)  # as by estimate_parts
         row = head | {"trip": i} | row_of(found, ratios[i])
         rows.append(row | {"flagged": int(is_flagged), "is_done": int(found.converged)})
     return rows
+
+
+def at_healthy_temperature(found, bogie, temperature_c):
+    """Return the estimate with damping as at the temperature of the healthy trips."""
+    if bogie.law is None:
+        return found
+    return replace(found, values=bogie.law.compared(found.as_estimate(), temperature_c).values[0])
 
 
 def row_of(found, truth):

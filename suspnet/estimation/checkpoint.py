@@ -17,7 +17,7 @@ from suspnet.curves.estimates import OBSERVATIONS
 from suspnet.curves.problem import Problem
 from suspnet.curves.protocols import Task
 from suspnet.estimation.bogie_model import BOGIE, BogieModel
-from suspnet.estimation.commissioned_bogie import CommissionedBogie
+from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScatter
 from suspnet.estimation.fitted import Model, ModelFileError
 from suspnet.estimation.flags import OODDetector, Unexplained
 from suspnet.estimation.intervals import Intervals
@@ -40,7 +40,7 @@ from suspnet.ground.types import FloatArray
 from suspnet.learning import METHODS, Scaling
 from suspnet.vehicle import GENERATORS, SpatialVehicle, Vehicle
 
-SCHEMA_VERSION = 10
+SCHEMA_VERSION = 11
 FEATURES = "features."
 """Name prefix of the feature set's arrays."""
 CALIBRATED: dict[str, tuple[str, Any]] = {
@@ -364,11 +364,13 @@ def _bogie_json(bogie: CommissionedBogie) -> dict[str, Any]:
         "generator": asdict(bogie.generator),
         "noise": bogie.noise.numpy(),
         "law": law,
+        "errors": None if bogie.errors is None else bogie.errors.numpy(),
+        "scatter": bogie.scatter and asdict(bogie.scatter),
     }
 
 
 def _bogie(content: dict[str, Any], device: str) -> CommissionedBogie:
-    law = content["law"]
+    law, errors, scatter = content["law"], content["errors"], content["scatter"]
     generator = _with_tuples(content["generator"])
     generator |= {"vehicle": Vehicle(**generator["vehicle"]), "device": device}
     return CommissionedBogie(
@@ -378,6 +380,8 @@ def _bogie(content: dict[str, Any], device: str) -> CommissionedBogie:
         content["misfit"],
         content["converged"],
         None if law is None else DampingByTemperature(**law),
+        None if errors is None else torch.tensor(errors, dtype=torch.float64),
+        None if scatter is None else HealthyScatter(**_with_tuples(scatter)),
     )
 
 

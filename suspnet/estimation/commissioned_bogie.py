@@ -3,14 +3,42 @@
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+from scipy.stats import norm, t
 from torch import Tensor
 
 from suspnet.estimation.estimate import HealthyValues
 from suspnet.estimation.temperature import DampingByTemperature
-from suspnet.ground.parameters import COMPONENTS
+from suspnet.ground.parameters import BOGIE_PARTS, COMPONENTS, PARAMETERS, kind_of
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import ShortRepr
 from suspnet.vehicle import SpatialVehicle
+
+
+@dataclass(frozen=True)
+class HealthyScatter:
+    """Scatter of the parts of healthy trips that were read as later ones, beyond noise.
+
+    `own` and `alike` are standard deviations of the logarithm of a part of each of ``PARAMETERS``
+    k_p, c_p, k_s and c_s: of each part alone, and of all of the kind together; `n_trips` is their
+    number. It is that of a normal distribution with Student's quantiles of n_trips - 1 degrees.
+    """
+
+    own: tuple[float, ...]
+    alike: tuple[float, ...]
+    n_trips: int
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """Covariance of the logarithms of ``BOGIE_PARTS``, (12, 12)."""
+        kinds = np.array([PARAMETERS.index(kind_of(name)) for name in BOGIE_PARTS])
+        own, alike = np.square(self.own)[kinds], np.square(self.alike)[kinds]
+        return np.diag(own) + np.where(kinds[:, None] == kinds, alike, 0.0)
+
+    def student(self, level: float) -> float:
+        """Return Student's quantile over the normal one, of an interval of that level."""
+        tail = (1 + level) / 2
+        return float(t.ppf(tail, self.n_trips - 1) / norm.ppf(tail))
 
 
 @dataclass(frozen=True, repr=False)
@@ -20,7 +48,9 @@ class CommissionedBogie(ShortRepr):
     `generator` has the posterior of its numbers as its distribution, `noise` (n_sensors,)
     [(m/s^2)^2/Hz] is that of its sensors, `misfit` the rms of the residuals over that of the noise,
     `masses` [-] the car-body mass of each trip over nominal. `law` is how its damping depends on
-    the temperature, None if that of no healthy trip is known.
+    the temperature, None if that of no healthy trip is known. `errors` (n_freq, n_sensors) [-] are
+    the fractions of its signals that it may err by in each bin of a trip, `scatter` that of its
+    parts from trip to trip; None: not known.
     """
 
     generator: SpatialVehicle
@@ -29,6 +59,8 @@ class CommissionedBogie(ShortRepr):
     misfit: float
     converged: bool
     law: DampingByTemperature | None = None
+    errors: Tensor | None = None
+    scatter: HealthyScatter | None = None
 
     @cached_property
     def healthy(self) -> HealthyValues:

@@ -152,16 +152,8 @@ def with_doubt(flags: Flags, *, has_converged: bool) -> Flags:
     return flags if has_converged else flags.with_kind("physics", NOT_CONVERGED)
 
 
-def with_bogie_doubt(flags: Flags, *, has_converged: bool, misfit: float) -> Flags:
-    """Return the flags of a trip, with the doubt about the bogie that its parts are compared with.
-
-    `misfit` is that of the bogie's healthy trips.
-    """
-    if misfit > UNTRUSTED:
-        flags = flags.with_kind(
-            "physics",
-            Finding("bogie-incomplete", misfit=misfit),
-        )
+def with_bogie_doubt(flags: Flags, *, has_converged: bool) -> Flags:
+    """Return the flags of a trip, with the doubt about the bogie that it is compared with."""
     return flags if has_converged else flags.with_kind("physics", BOGIE_NOT_CONVERGED)
 
 

@@ -16,6 +16,8 @@ from suspnet.estimation.bogie_model import BogieModel
 from suspnet.estimation.relative_velocity import DampingByVelocity
 from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.estimation.trained import TrainedModel
+from suspnet.estimation.trip_settings import LEAST_TRIPS
+from suspnet.ground.parameters import PARAMETERS
 from suspnet.ground.records import Place
 from suspnet.ground.settings import LARGEST, check_flag, check_number
 from suspnet.ground.types import FloatArray
@@ -174,6 +176,19 @@ def _check_bogie(model: BogieModel) -> None:
             raise ValueError(f"`bogie.{name}` must be positive")
     check_number("bogie.misfit", bogie.misfit, low=0)
     check_flag("bogie.converged", bogie.converged)
+    if bogie.errors is not None and (
+        bogie.errors.ndim != 2
+        or bogie.errors.shape[1] != len(bogie.noise)
+        or not bool((bogie.errors >= 0).all())
+    ):
+        raise ValueError("`bogie.errors` must be numbers >= 0, a row of all sensors for each bin")
+    if bogie.scatter is not None:
+        for name in ("own", "alike"):
+            values = np.array(getattr(bogie.scatter, name), dtype=float)
+            _check_vector(f"bogie.scatter.{name}", values, len(PARAMETERS) - 1)
+            if not (values >= 0).all():
+                raise ValueError(f"`bogie.scatter.{name}` must not be negative")
+        check_number("bogie.scatter.n_trips", bogie.scatter.n_trips, low=LEAST_TRIPS, whole=True)
 
 
 def _check_training(training: Any) -> None:

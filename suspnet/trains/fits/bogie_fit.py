@@ -10,15 +10,16 @@ under the posterior of the healthy trips. Both minimise the sum of squares of ::
 with F F^T the covariance of log z, and m 1.05 for the healthy trips, their masses' geometric mean
 for later ones. The noise of each trip, what excites each wheelset alone and what bins leak are
 those that its spectra show with the vehicle as found so far (`trains.spectra.noise_subspace`).
-`suspnet.trains.fits.bogie_search` finds the minimum. A part's interval is that of the posterior
-there, times ``COMMON``: what healthy trips leave open is one draw for all later ones. The
-information J^T J of n residuals is divided by that of the misfit mu, the rms residual over that of
-the noise::
+`suspnet.trains.fits.bogie_search` finds the minimum.
 
-    max(1, mu)^2 + ALIGNED^2 n max(0, mu^2 - EXPLAINED^2)
+What the vehicle does not explain of its healthy trips counts as errors of its responses
+(`trains.spectra.model_errors`), and how their parts scatter if they are read as later ones is
+measured (`healthy_scatter`). The covariance of a later trip's parts is ::
 
-as errors of the physics do not average out over the residuals like noise: a fraction of them acts
-like a change of a part.
+    tau^2 [max(1, mu)^2 C + V]
+
+with C that of the posterior, mu the rms residual over that of noise and errors, V that of the
+scatter and tau Student's quantile over the normal one: few healthy trips tell little of both.
 """
 
 from __future__ import annotations
@@ -32,7 +33,6 @@ from scipy.stats import norm
 
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.estimate import Estimate, Flags
-from suspnet.estimation.intervals import COMMON
 from suspnet.estimation.temperature import (
     SLOPE_DEVIATION,
     USUAL_SLOPE,
@@ -44,27 +44,23 @@ from suspnet.ground.parameters import COMPONENTS, PARAMETERS
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import ShortRepr
 from suspnet.trains.fits.bogie_misfit import EQUAL, SEPARATE, BogieMisfit
-from suspnet.trains.fits.bogie_search import NEARLY_EXPLAINED, best_end, narrowed, nearer_start
+from suspnet.trains.fits.bogie_search import (
+    NEARLY_EXPLAINED,
+    best_end,
+    healthy_end,
+    narrowed,
+    nearer_start,
+)
+from suspnet.trains.fits.healthy_scatter import healthy_scatter
 from suspnet.trains.spectra.bogie_trip import BogieTrip, smallest_noise
 from suspnet.vehicle import SpatialVehicle
 from suspnet.vehicle.quantities import LogNormal
 
 EXPLAINED = 1.15
 """Misfit up to which a bogie is explained: plain trips of five minutes have up to 1.08."""
-FURTHER_PARTS = (
-    ("second_bending", "body_torsion", "equipment", "floors"),
-    ("track", "cross_axis"),
-)
-"""What a vehicle is given that does not explain its healthy trips: flexible modes of its body and
-what hangs on it; then a track that gives way, and sensors that read a share of the lateral motion.
-All at once end in a worse valley: c_p of the modes alone was 2.8 % off, with all 6.9 %
-(benchmarks/rough_train.py, flexible modes, seed 0)."""
-FURTHER_FROM = 1.3
-"""Misfit above which it is given these: a search with them takes three to ten times as long."""
-ALIGNED = 0.15
-"""Fraction of unexplained residuals that acts like a change of a part. Found on two trains of
-tests/blind_train.py (seeds 0 and 1, misfits of 1.7 to 6.9, 128 trips with one worn part of twelve
-each at most): intervals without it held 45 to 57 % at a misfit of 2, and 15 to 40 % at 6."""
+FURTHER_PARTS = (*("track", "cross_axis", "second_bending", "equipment", "body_torsion", "floors"),)
+"""What a vehicle may be given that does not explain its healthy trips: a track that gives way,
+sensors that read a share of the lateral motion, flexible modes of its body and what hangs on it."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -114,17 +110,25 @@ def fit_parts(
     # far from the healthy trips' mass, as by a wrong one on the drawing, valleys differ
     mass = float(np.exp(np.log(bogie.masses).mean()))
     ties = EQUAL if equal else SEPARATE
-    fit = BogieMisfit(bogie.generator, [noise], [trip], are_healthy=False, mass=mass, ties=ties)
-    explained = EXPLAINED * max(1.0, bogie.misfit)
+    fit = BogieMisfit(
+        *(bogie.generator, [noise], [trip]),
+        are_healthy=False,
+        mass=mass,
+        ties=ties,
+        errors=bogie.errors,
+    )
     near, first = (fit.start(), 0) if start is None else (nearer_start(fit, start), 2)
-    end = narrowed(fit, near, first).finished(NEARLY_EXPLAINED * explained)
-    if not end.explains(explained):
-        end = min(end, best_end(fit, explained), key=lambda end: end.misfit)
+    end = narrowed(fit, near, first).finished(NEARLY_EXPLAINED * EXPLAINED)
+    if not end.explains(EXPLAINED):
+        end = min(end, best_end(fit, EXPLAINED), key=lambda end: end.misfit)
     fit, x, misfit = end.fit, end.x, end.misfit
-    unexplained = max(0.0, max(misfit, bogie.misfit) ** 2 - EXPLAINED**2)
-    excess = max(1.0, misfit) ** 2 + ALIGNED**2 * fit.exact.n_independent * unexplained
     own = slice(fit.n_shared, None)
-    covariance = COMMON**2 * fit.covariance(x, excess)[own, own]
+    covariance = fit.covariance(x, max(1.0, misfit) ** 2)[own, own]
+    if bogie.scatter is not None:
+        scatter = np.pad(bogie.scatter.covariance, (0, 1))
+        tied = np.linalg.pinv(ties)
+        covariance = covariance + tied @ scatter @ tied.T
+        covariance = bogie.scatter.student(level) ** 2 * covariance
     names = PARAMETERS if equal else COMPONENTS
     return PartsEstimate(np.exp(x[own]), covariance, misfit, end.converged, level, names)
 
@@ -148,6 +152,8 @@ def commission_bogie(
     generator: SpatialVehicle,
     trips: Sequence[BogieTrip],
     temperatures_c: Sequence[float | None] | None = None,
+    *,
+    further_parts: Sequence[str] = (),
 ) -> CommissionedBogie:
     """Return the most probable vehicle given healthy trips.
 
@@ -159,6 +165,8 @@ def commission_bogie(
         At least three, on the same bins.
     temperatures_c : sequence of float or None, optional, [°C]
         Of each trip, None if unknown.
+    further_parts : sequence of str, optional
+        Parts of ``SpatialVehicle`` that it is given if the trips show that it needs them.
 
     Raises
     ------
@@ -174,43 +182,25 @@ def commission_bogie(
         raise ValueError(f"healthy trips need all sensors, one has none at {', '.join(lost)}")
     healthy_c, warmer = kelvins_warmer(temperatures_c or [None] * len(trips))
     fit = healthy_misfit(generator, trips, warmer if any(warmer) else ())
-    generator, prior = fit.generator, fit.numbers
-    end = best_end(fit, EXPLAINED)
-    fit, x, misfit, n, shared = end.fit, end.x, end.misfit, fit.n_numbers, fit.n_shared
+    end = healthy_end(fit, further_parts).finished(NEARLY_EXPLAINED * EXPLAINED)
+    fit, x, misfit, n, shared = end.fit, end.x, end.misfit, end.fit.n_numbers, end.fit.n_shared
     covariance = fit.covariance(x, max(1.0, misfit) ** 2)
+    prior = fit.numbers
     factor = prior.factor
     spread_of = factor @ covariance[:n, :n] @ factor.T
     logs = np.array(prior.mean) + factor @ x[:n]
     rows = tuple(map(tuple, ((spread_of + spread_of.T) / 2).tolist()))
     posterior = LogNormal(prior.names, tuple(logs.tolist()), rows)
     return CommissionedBogie(
-        replace(generator, distribution=posterior),
+        replace(fit.generator, distribution=posterior),
         torch.stack([noise.densities for noise in fit.noise_at(x)]).mean(dim=0),
         np.exp(x[shared:]),
-        misfit,
+        end.bare_misfit,
         end.converged,
         _law(healthy_c, x[n:shared], covariance[n:shared, n:shared]),
+        fit.errors,
+        healthy_scatter(fit, x),
     )
-
-
-def with_further_parts(
-    bogie: CommissionedBogie,
-    generator: SpatialVehicle,
-    trips: Sequence[BogieTrip],
-    temperatures_c: Sequence[float | None] | None = None,
-) -> CommissionedBogie:
-    """Return the bogie with ``FURTHER_PARTS`` if the trips are not explained, and are so better.
-
-    `bogie` is that of `commission_bogie` for the other arguments; up to a misfit of
-    ``FURTHER_FROM`` it stays.
-    """
-    for parts in FURTHER_PARTS:
-        if bogie.misfit <= FURTHER_FROM:
-            break
-        generator = generator.with_parts(parts)
-        richer = commission_bogie(generator, trips, temperatures_c)
-        bogie = min(bogie, richer, key=lambda bogie: bogie.misfit)
-    return bogie
 
 
 def _law(

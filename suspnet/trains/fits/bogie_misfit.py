@@ -18,6 +18,7 @@ from suspnet.estimation.temperature import DAMPINGS, SLOPE_DEVIATION, USUAL_SLOP
 from suspnet.ground.parameters import COMPONENTS, PARAMETERS, Direction, kind_of
 from suspnet.ground.types import FloatArray
 from suspnet.trains.spectra.bogie_trip import BogieTrip, smallest_noise
+from suspnet.trains.spectra.model_errors import SPACING_HZ, Explained, model_errors
 from suspnet.trains.spectra.noise_subspace import Leakage, TripNoise, trip_noise
 from suspnet.trains.spectra.subspace import SubspaceMisfit
 from suspnet.vehicle import SpatialVehicle
@@ -48,7 +49,8 @@ class BogieMisfit:
     logarithms of all parts and the mass from, the mass last. `mass` is what the masses of the trips
     are expected about, the median of their prior. `warmer` [K] is each trip's temperature above
     their mean, empty where they do not differ; else the slopes of damping over temperature
-    (`suspnet.estimation.temperature`) follow z, in deviations from their prior.
+    (`suspnet.estimation.temperature`) follow z, in deviations from their prior. `errors` are those
+    of the vehicle's responses (n_freq, n_sensors) [-], see `suspnet.trains.spectra.model_errors`.
     """
 
     generator: SpatialVehicle
@@ -58,6 +60,7 @@ class BogieMisfit:
     mass: float = math.exp(MASS_MEAN)
     ties: FloatArray = field(default_factory=SEPARATE.copy)
     warmer: Sequence[float] = ()
+    errors: Tensor | None = None
 
     def __post_init__(self) -> None:
         for trip in self.trips:
@@ -70,6 +73,12 @@ class BogieMisfit:
                     f"sensors {', '.join(self._sensors[i] for i in self.sensors_of(trip))}, got "
                     f"{tuple(trip.spectra.values.shape)}"
                 )
+
+        shape = (len(self.frequencies_hz), len(self._sensors))
+        if self.errors is not None and self.errors.shape != shape:
+            raise ValueError(
+                f"the vehicle's errors are of {len(self.errors)} bins, the trips have {shape[0]}"
+            )
 
     @property
     def _sensors(self) -> tuple[str, ...]:
@@ -153,6 +162,15 @@ class BogieMisfit:
             own = nearest.astype(np.float64)
         return np.concatenate([np.zeros(self.n_shared), own])
 
+    def with_parts(self, parts: Sequence[str], x: FloatArray) -> tuple[BogieMisfit, FloatArray]:
+        """Return the sum for a vehicle with further parts, and x with these at their medians."""
+        fit = replace(self, generator=self.generator.with_parts(parts))
+        logs = np.zeros(fit.n_numbers)
+        names = [fit.numbers.names.index(name) for name in self.numbers.names]
+        logs[names] = self.numbers.factor @ x[: self.n_numbers]
+        standard = np.linalg.lstsq(fit.numbers.factor, logs, rcond=None)[0]
+        return fit, np.concatenate([standard, x[self.n_numbers :]])
+
     def of_trips(self, numbers: Sequence[int]) -> BogieMisfit:
         """Return the sum of squares of some of the trips."""
         noises = [self.noises[i] for i in numbers]
@@ -169,11 +187,17 @@ class BogieMisfit:
                 trip.spectra.at(trip.of(bins)),
                 noise if noise.ndim == 1 else noise[trip.of(bins)],
                 len(self._inputs),
-                spread,
+                self._spread_of(trip, spread, bins),
             )
             for trip, noise in zip(self.trips, self.noises, strict=True)
         ]
         return Residuals(self, bins, subspaces)
+
+    def _spread_of(self, trip: BogieTrip, spread: float, bins: Tensor) -> float | Tensor:
+        if self.errors is None:
+            return spread
+        learnt = self.errors[trip.of(bins)][:, self.sensors_of(trip)]
+        return (spread**2 + trip.spectra.n_averages * learnt**2).sqrt()
 
     @cached_property
     def exact(self) -> Residuals:
@@ -200,13 +224,25 @@ class BogieMisfit:
     def covariance(self, x: FloatArray, excess: float) -> FloatArray:
         """Return the posterior covariance of all coordinates, residuals `excess` times as large.
 
-        `excess` is that of their squares.
+        `excess` is that of their squares. With J the derivatives of all residuals and P those of
+        the priors, w = 1 where residuals are of noise alone, it is ::
+
+            A^-1 (J^T w J / excess + P^T P) A^-1,     A = J^T J / excess + P^T P
+
+        Errors of the vehicle are the same on all trips and alike in neighbouring bins: where the
+        fraction s of a residual's variance is theirs, w = 1 + s (n - 1), with n the number of trips
+        times that of the bins in ``SPACING_HZ``.
         """
         jacobian = self.exact.jacobian(x)
         n_prior = len(self.prior_deviations)
         data, prior = jacobian[:-n_prior], jacobian[-n_prior:]
-        information = data.T @ data / excess + prior.T @ prior
-        return np.asarray(np.linalg.inv(information))
+        inverse = np.linalg.inv(data.T @ data / excess + prior.T @ prior)
+        if self.errors is None or not self.are_healthy:
+            return np.asarray(inverse)
+        n_alike = SPACING_HZ / float(self.frequencies_hz[:2].diff()) * len(self.trips)
+        weights = 1 + self.exact.error_shares(x) * max(0.0, n_alike - 1)
+        middle = (data.T * weights) @ data / excess + prior.T @ prior
+        return np.asarray(inverse @ middle @ inverse)
 
     def step_left(self, x: FloatArray) -> float:
         """Return the largest Newton step of a part from x, in deviations of the posterior."""
@@ -255,6 +291,18 @@ class BogieMisfit:
     def with_noise_at(self, x: FloatArray) -> BogieMisfit:
         """Return the fit with the noise of each trip for the vehicle at x."""
         return replace(self, noises=[noise.matrix for noise in self.noise_at(x)])
+
+    def with_errors_at(self, x: FloatArray) -> BogieMisfit:
+        """Return the fit with noise, and errors of the model that the trips show, at x."""
+        fit = self.with_noise_at(x)
+        trips = []
+        for i, trip in enumerate(self.trips):
+            bins = trip.of(self.all_bins)
+            spectra, noise = trip.spectra.at(bins), fit.noises[i][bins].to(torch.complex128)
+            responses = self.responses(x, i, self.all_bins)
+            trips.append(Explained(spectra, noise, responses, bins, self.sensors_of(trip)))
+        errors = model_errors(self.frequencies_hz, trips, self.errors, len(self._sensors))
+        return replace(fit, errors=errors)
 
     @cached_property
     def _inputs(self) -> list[int]:
@@ -370,6 +418,18 @@ class Residuals:
             block[:, first : first + n_own] = slopes[:, n_shared:]
             blocks.append(block)
         return np.concatenate([*blocks, np.diag(1 / self.fit.prior_deviations)])
+
+    def error_shares(self, x: FloatArray) -> FloatArray:
+        """Return the fraction of each residual's variance that is due to errors, (n_points,).
+
+        Those of priors are left out.
+        """
+        shares = []
+        for i, subspace in enumerate(self.subspaces):
+            of_bins = subspace.error_shares(self.fit.responses(x, i, self.bins))
+            n_of_bin = 2 * subspace.spectra.values.shape[-1] * subspace.n_inputs
+            shares.append(of_bins.repeat_interleave(n_of_bin).numpy())
+        return np.concatenate(shares)
 
     def in_orders(self, x: FloatArray, orders: Sequence[Sequence[int]]) -> FloatArray:
         """Return the rms residual of the first trip with its sensors in other orders.

@@ -228,15 +228,14 @@ def estimate_parts(
         check_order(bogie.generator, trip)
     parts = fit_parts(bogie, trip, settings.level)
     estimate = parts.as_estimate()
-    flags = with_bogie_doubt(estimate.flags, has_converged=bogie.converged, misfit=bogie.misfit)
+    flags = with_bogie_doubt(estimate.flags, has_converged=bogie.converged)
     if not parts.converged:
         flags = flags.with_kind("misfit", "the search for the parts did not end within its steps")
-    most = LARGEST_MISFIT * max(1.0, bogie.misfit)
     worn = ""
-    if parts.misfit <= most:  # not NaN
+    if parts.misfit <= LARGEST_MISFIT:  # not NaN
         worn = together(part.finding for part in worn_parts(parts))
     else:
-        flags = flags.with_kind("misfit", _unexplained(parts, most))
+        flags = flags.with_kind("misfit", _unexplained(parts))
     places = _places(recording.manifest, bogie.generator.frame_sensor)
     names = {place: name for name, place in places.items()}
     estimate = replace(
@@ -252,13 +251,13 @@ def estimate_parts(
     return bogie.law.compared(estimate, recording.manifest.temperature_c)
 
 
-def _unexplained(parts: PartsEstimate, most: float) -> str:
+def _unexplained(parts: PartsEstimate) -> str:
     """Return why an estimate of parts is not one, and which part is furthest from healthy."""
     furthest = int(np.argmax(np.abs(np.log(parts.values[:-1]))))
     return Finding(
         "parts-explain-nothing",
         misfit=parts.misfit,
-        most=most,
+        most=LARGEST_MISFIT,
         furthest=COMPONENTS[furthest],
         values=100 * parts.values[furthest],
     )

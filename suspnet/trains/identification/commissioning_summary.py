@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,15 +15,15 @@ from suspnet.estimation.flags import INCOMPLETE, UNTRUSTED
 from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import BOGIE_PARTS, PARAMETERS, REVERSE, kind_of
 from suspnet.ground.types import FloatArray
-from suspnet.trains.fits.bogie_fit import EXPLAINED
+from suspnet.trains.fits.bogie_fit import EXPLAINED, FURTHER_PARTS
 from suspnet.trains.fits.commissioning import Commissioned
 from suspnet.trains.identification.healthy_trips import HealthyTrips
 from suspnet.vehicle.quantities import (
     MASS_DEVIATION,
     MASS_MEAN,
-    PARTS,
     QUANTITIES,
     UNMEASURED,
+    LogNormal,
     Quantity,
 )
 
@@ -54,6 +54,12 @@ PART_TITLES = {
     "wheelsets": "Excitation of single wheelsets",
     "axle_box_arm": "Sensor on the arm of the axle box",
     "air_spring": "Air spring",
+    "track": "Track under the wheelsets",
+    "cross_axis": "Lateral motion that sensors read",
+    "second_bending": "Second bending of the car body",
+    "equipment": "Equipment hung below the floor",
+    "body_torsion": "Torsion of the car body",
+    "floors": "Local floors below the sensors",
 }
 SYMBOLS = {
     **{f"healthy_{name}": name for name in PARAMETERS[:4]},
@@ -124,18 +130,38 @@ def numbers(outcome: Commissioned) -> list[Number]:
         zip(UNMEASURED, outcome.generator.nominal_values()[len(PARAMETERS) :], strict=True)
     )
     quantity_of = {quantity.name: quantity for quantity in QUANTITIES}
-    both = outcome.prior, outcome.posterior
+    return _numbers(outcome.prior, outcome.posterior, nominal, quantity_of)
+
+
+def further_numbers(bogie: CommissionedBogie) -> list[Number]:
+    """Return every number of the parts that the healthy trips showed the vehicle to need."""
+    quantity_of = {q.name: q for q in bogie.generator.quantities if q.part in FURTHER_PARTS}
+    known = bogie.generator.distribution
+    assert known is not None
+    posterior = known.without([name for name in known.names if name not in quantity_of])
+    prior = LogNormal.independent({n: quantity_of[n].deviation for n in posterior.names})
+    nominal = {name: quantity.nominal or 1.0 for name, quantity in quantity_of.items()}
+    return _numbers(prior, posterior, nominal, quantity_of)
+
+
+def _numbers(
+    before: LogNormal,
+    after: LogNormal,
+    nominal: Mapping[str, float],
+    quantity_of: Mapping[str, Quantity],
+) -> list[Number]:
+    """Return the numbers of two distributions of the same names."""
+    both = before, after
     ends = [
         np.stack([distribution.quantile(n) for n in (-1, 0, 1)], axis=1) for distribution in both
     ]
     uncertain = []
-    for i, name in enumerate(outcome.prior.names):
+    for i, name in enumerate(before.names):
         prior, posterior = (tuple((nominal[name] * part[i]).tolist()) for part in ends)
-        before, after = (float(distribution.deviations[i]) for distribution in both)
-        uncertain.append(
-            Number(quantity_of[name], nominal[name], prior, posterior, (before, after))
-        )
-    return sorted(uncertain, key=lambda number: ("", *PARTS).index(number.quantity.part))
+        deviations = float(before.deviations[i]), float(after.deviations[i])
+        number = Number(quantity_of[name], nominal[name], prior, posterior, deviations)
+        uncertain.append(number)
+    return sorted(uncertain, key=lambda number: list(PART_TITLES).index(number.quantity.part))
 
 
 def is_explained(outcome: Commissioned) -> bool:
@@ -210,8 +236,6 @@ SHOWS_MASS = 2 * EXPLAINED
 def doubts_of_parts(bogie: CommissionedBogie) -> list[str]:
     """Return a sentence for each reason not to rely on a bogie of which each part is read."""
     reasons: list[str] = []
-    if not bogie.misfit <= EXPLAINED:
-        reasons.append(Finding("parts-misfit", explained=EXPLAINED))
     if bogie.misfit > UNTRUSTED:
         reasons.append(LOOK_FIRST)
     if not bogie.converged:
@@ -221,9 +245,20 @@ def doubts_of_parts(bogie: CommissionedBogie) -> list[str]:
     return [*reasons, *filter(None, [doubt])]
 
 
-def calm_of_parts() -> str:
-    """Return the sentence on a bogie without doubts."""
-    return Finding("parts-explained", explained=EXPLAINED)
+def errors_of_parts(bogie: CommissionedBogie, frequencies_hz: FloatArray) -> str:
+    """Return a sentence on the errors of a bogie's responses, empty if they are not known."""
+    if bogie.errors is None:
+        return ""
+    largest = 100 * bogie.errors.numpy()
+    i, sensor = np.unravel_index(largest.argmax(), largest.shape)
+    assert bogie.generator.sensors is not None
+    return Finding(
+        "model-errors" if largest.any() else "no-model-errors",
+        typical=float(np.median(largest.max(axis=1))),
+        most=float(largest.max()),
+        frequency=float(frequencies_hz[i]),
+        place=bogie.generator.sensors[int(sensor)].replace("_", " "),
+    )
 
 
 NOT_CONVERGED = (

@@ -12,12 +12,11 @@ from suspnet.estimation.bogie_model import BogieModel
 from suspnet.estimation.checkpoint import write_model
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import SIDES
 from suspnet.ground.storage import write_json
 from suspnet.ground.tensors import threads
 from suspnet.runs.train import environment
-from suspnet.trains.fits.bogie_fit import EXPLAINED, commission_bogie, with_further_parts
+from suspnet.trains.fits.bogie_fit import EXPLAINED, FURTHER_PARTS, commission_bogie
 from suspnet.trains.fits.commissioning import Commissioned, as_bogie, commission
 from suspnet.trains.identification import commissioning_summary as words
 from suspnet.trains.identification.healthy_trips import HealthyTrips
@@ -89,15 +88,12 @@ def commission_parts(healthy: HealthyTrips, trips: TripSettings) -> Commissioned
     if trips.check_channels:
         check_orders(1.0)
     temperatures_c = [manifest.temperature_c for manifest in healthy.manifests]
-    bogie = commission_bogie(vehicle, healthy.of_parts, temperatures_c)
+    trips_of = healthy.of_parts
+    bogie = commission_bogie(vehicle, trips_of, temperatures_c, further_parts=FURTHER_PARTS)
     if trips.check_channels and bogie.misfit > EXPLAINED:
         check_orders(NEARLY)
-        check_bogie(vehicle, healthy.of_parts, bogie.misfit, str(folder))
-    richer = with_further_parts(bogie, vehicle, healthy.of_parts, temperatures_c)
-    log.info("%s", words.of_parts(richer))
-    if richer is not bogie:
-        log.info("%s", Finding("further-parts", misfit=richer.misfit, before=bogie.misfit))
-    bogie = richer
+        check_bogie(vehicle, trips_of, bogie.misfit, str(folder))
+    log.info("%s", words.of_parts(bogie))
     for doubt in words.doubts_of_parts(bogie):
         log.warning("%s", doubt)
     return bogie

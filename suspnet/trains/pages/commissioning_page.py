@@ -39,6 +39,11 @@ EXPLANATION = N_(
     "(blue), over the noise; 1 is noise alone, and a peak far above it is a frequency at which the "
     "vehicle moves as the model cannot."
 )
+ERRORS = N_("Errors of the vehicle")
+ABOUT_ERRORS = N_(
+    "How far off the vehicle is at each sensor, as a percentage of the signal there. Where nothing "
+    "is drawn, the healthy trips show no error. Where the error is large, a later trip counts less."
+)
 MEASURED, NOMINAL, FITTED = "0.7", "tab:orange", "tab:blue"
 
 
@@ -56,6 +61,9 @@ def write_outcome(
     if healthy.groups:
         figure = responses(healthy, outcome)
         write_atomically(folder / "figures" / f"{NAME}_responses.png", as_png(figure))
+    elif bogie is not None and bogie.errors is not None:
+        figure = errors(bogie, healthy.of_parts[0].frequencies_hz.numpy())
+        write_atomically(folder / "figures" / f"{NAME}_errors.png", as_png(figure))
     write_json(folder / f"{NAME}.json", as_json(healthy, outcome, bogie))
     values = _page_values(healthy, outcome, figure, bogie)
     path = write_page(folder / f"{NAME}.html", "commissioning.html", **values)
@@ -119,9 +127,9 @@ def _page_values(
     else:
         verdict, threshold = words.of_parts(bogie), EXPLAINED
         doubts = [*healthy.doubts, *words.doubts_of_parts(bogie)]
-        calm = words.calm_of_parts()
+        calm = words.errors_of_parts(bogie, healthy.of_parts[0].frequencies_hz.numpy())
     # the numbers below a heading for each part of the vehicle that they describe
-    numbers = words.numbers(outcome)
+    numbers = words.numbers(outcome) + (words.further_numbers(bogie) if bogie else [])
     groups: dict[str, list[dict[str, Any]]] = {}
     for number in numbers:
         meaning = spoken(number.quantity.meaning)
@@ -154,8 +162,8 @@ def _page_values(
         "reference": words.reference(outcome),
         "figure": figure
         and {
-            "heading": gettext(HEADING),
-            "explanation": gettext(EXPLANATION),
+            "heading": gettext(HEADING if healthy.groups else ERRORS),
+            "explanation": gettext(EXPLANATION if healthy.groups else ABOUT_ERRORS),
             "image": data_uri(figure),
         },
         "groups": groups,
@@ -172,6 +180,19 @@ def _page_values(
             "date": datetime.now().astimezone().isoformat(" ", "seconds"),
         },
     }
+
+
+def errors(bogie: CommissionedBogie, frequencies_hz: FloatArray) -> Figure:
+    """Return a figure of the errors of a bogie's responses by frequency."""
+    assert bogie.errors is not None
+    assert bogie.generator.sensors is not None
+    figure = Figure(figsize=(8, 4), layout="constrained")
+    axes = figure.subplots()
+    for place, share in zip(bogie.generator.sensors, bogie.errors.numpy().T, strict=True):
+        axes.plot(frequencies_hz, 100 * np.where(share > 0, share, np.nan), label=place)
+    axes.set(xlabel="frequency [Hz]", ylabel=N_("error [% of the signal]"), yscale="log")
+    axes.legend(fontsize="small", ncols=2)
+    return figure
 
 
 def _trips(healthy: HealthyTrips, outcome: Commissioned) -> list[dict[str, Any]]:

@@ -28,7 +28,7 @@ from suspnet.ground.parameters import DIRECTIONS, REVERSE, Direction
 from suspnet.ground.types import FloatArray
 from suspnet.trains.fits.bogie_fit import healthy_misfit
 from suspnet.trains.fits.bogie_misfit import BogieMisfit
-from suspnet.trains.fits.bogie_search import end_near, misfits_in
+from suspnet.trains.fits.bogie_search import end_near, learnt_end, misfits_in
 from suspnet.trains.fits.healthy_misfit import HealthySpectra, row_of
 from suspnet.trains.fits.vehicle_search import SPREADS, VehicleSearch
 from suspnet.trains.recordings.errors import TripError
@@ -212,8 +212,7 @@ def check_bogie(
     if misfit < OTHER_BOGIE:
         return
     ends = _likely_ends(_ends(generator)[1:], trips[0])
-    # near the minimum is near enough, and takes half as long
-    fits = [end_near(healthy_misfit(end, trips)).misfit for end in ends]
+    fits = [learnt_end(healthy_misfit(end, trips)).bare_misfit for end in ends]
     other, end = min(zip(fits, ends, strict=True), key=itemgetter(0))
     if other < misfit / OTHER_BOGIE:
         raise TripError(_other_end("healthy-trips-fit", where, generator, misfit, end, other))

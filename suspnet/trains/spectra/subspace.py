@@ -77,7 +77,7 @@ class SubspaceMisfit:
     spectra: SpectralMatrix
     noise: Tensor
     n_inputs: int
-    spread: float = 0.0
+    spread: float | Tensor = 0.0
 
     def __post_init__(self) -> None:
         m = self.spectra.values.shape[-1]
@@ -112,6 +112,18 @@ class SubspaceMisfit:
         weights = (power - 1).clamp(min=0.0) / power.clamp(min=1.0).sqrt()
         signals: Tensor = math.sqrt(2 * self.spectra.n_averages) * vectors * weights[:, None, :]
         return signals
+
+    def error_shares(self, responses: Tensor) -> Tensor:
+        """Return the fraction of the variance of residuals that is due to errors, (n_freq,).
+
+        `responses` (p, m, n_freq) are those of one vehicle.
+        """
+        noise = torch.diag(self.noise) if self.noise.ndim == 1 else self.noise
+        basis = torch.linalg.qr(self._white(responses[None])[0])[0]
+        free = self._root - basis @ (basis.mH @ self._root)  # (I - P) N^-1/2
+        power = (free @ noise.to(free) * free.conj()).real.sum(dim=(-2, -1))
+        shares: Tensor = 1 - power / (self._root.shape[-1] - self.n_inputs)
+        return shares
 
     def __call__(self, responses: Tensor) -> Tensor:
         """Return the residuals (n_rows, n_points) of responses (n_rows, p, m, n_freq)."""

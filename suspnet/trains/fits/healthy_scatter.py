@@ -1,0 +1,89 @@
+"""How the parts of healthy trips scatter if they are read as later ones.
+
+At the minimum of the healthy trips' sum of squares, each trip is left out of it and read: with J_j
+and r_j the derivatives and residuals of trip j, its own mass eliminated from both, others give ::
+
+    z ~ N(z_0 - L^-1 g, L^-1),    L = 1 + sum_j J_j^T J_j,    g = z_0 + sum_j J_j^T r_j,    j != i
+
+and one Gauss-Newton step with that prior the parts and the mass of trip i. Its parts are healthy,
+so that they are the error of a reading, with all that differs from trip to trip. For each kind,
+what their mean squares have beyond the covariance C_i of noise is the scatter: with e_ij the
+logarithms of its P parts, m_i their mean over j and c_i the mean of C_i ::
+
+    own^2   = mean_i [sum_j (e_ij - m_i)^2 - (tr C_i - P c_i)] / (P - 1)
+    alike^2 = mean_i [m_i^2 - c_i] - own^2 / P
+
+each at least 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from suspnet.estimation.commissioned_bogie import HealthyScatter
+from suspnet.ground.parameters import BOGIE_PARTS, PARAMETERS, kind_of
+from suspnet.ground.types import FloatArray
+from suspnet.trains.fits.bogie_misfit import SEPARATE, BogieMisfit
+
+
+def healthy_scatter(fit: BogieMisfit, x: FloatArray) -> HealthyScatter:
+    """Return the scatter of the healthy trips of a sum of squares at its minimum x."""
+    logs, covariances = read_as_later(fit, x)
+    own, alike = [], []
+    for kind in PARAMETERS[:-1]:
+        parts = [i for i, name in enumerate(BOGIE_PARTS) if kind_of(name) == kind]
+        n, of_kind = len(parts), logs[:, parts]
+        noise = covariances[:, parts][:, :, parts]
+        trace, common = np.trace(noise, axis1=1, axis2=2), noise.mean(axis=(1, 2))
+        squares = n * of_kind.var(axis=1) - (trace - n * common)
+        variance = max(0.0, float(squares.mean()) / (n - 1))
+        shared = float((of_kind.mean(axis=1) ** 2 - common).mean()) - variance / n
+        own.append(float(np.sqrt(variance)))
+        alike.append(float(np.sqrt(max(0.0, shared))))
+    return HealthyScatter(tuple(own), tuple(alike), len(fit.trips))
+
+
+def read_as_later(fit: BogieMisfit, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the logarithms of parts and mass of each trip, (n_trips, 13), and their covariances.
+
+    These are of noise, (n_trips, 13, 13).
+    """
+    n = fit.n_shared
+    later = replace(fit, are_healthy=False, ties=SEPARATE)
+    steps = []
+    for i in range(len(fit.trips)):
+        of_trip = later.of_trips([i])
+        # the vehicle and the mass as they are, all parts healthy
+        own = np.zeros(of_trip.n_own)
+        own[-1] = x[n + i]
+        at = np.concatenate([x[:n], own])
+        n_prior = len(of_trip.prior_deviations)
+        jacobian, residuals = of_trip.exact.jacobian(at), of_trip.exact(at)
+        information = jacobian[:-n_prior].T @ jacobian[:-n_prior]
+        score = jacobian[:-n_prior].T @ residuals[:-n_prior]
+        precision = 1 / of_trip.prior_deviations[n:] ** 2
+        information[n:, n:] += np.diag(precision)
+        score[n:] += of_trip.prior(at)[n:] * np.sqrt(precision)
+        steps.append((at, information, score))
+    healthy = [_without_mass(information, score, n) for _, information, score in steps]
+    information_of_all = np.eye(n) + sum(of_trip for of_trip, _ in healthy)
+    score_of_all = x[:n] + sum(of_trip for _, of_trip in healthy)
+    logs, covariances = [], []
+    for (at, information, score), (mine, my_score) in zip(steps, healthy, strict=True):
+        information[:n, :n] += information_of_all - mine
+        score[:n] += score_of_all - my_score
+        covariance = np.linalg.inv(information)
+        logs.append((at - covariance @ score)[n:])
+        covariances.append(covariance[n:, n:])
+    return np.array(logs), np.array(covariances)
+
+
+def _without_mass(
+    information: FloatArray, score: FloatArray, n: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return what a trip with healthy parts tells of the n shared numbers, whatever its mass."""
+    with_mass, mass = information[:n, -1], information[-1, -1]
+    reduced = information[:n, :n] - np.outer(with_mass, with_mass) / mass
+    return reduced, score[:n] - with_mass * score[-1] / mass

@@ -1,0 +1,120 @@
+"""Errors of a vehicle's responses by frequency, learnt on trips that it should explain.
+
+The true response of sensor i to input k is H_ik (1 + e_ik), with e_ik of variance eps_i(f)^2. With
+N the noise of a trip, S its spectral matrix of n averages, and rows W that see no motion that the
+vehicle explains (W H = 0, W N' W^* = I), the expected value of the rest is ::
+
+    W (S - N) W^* = sum_i eps_i^2 S_ii (W u_i) (W u_i)^*,     u_i a unit vector,
+    N' = N + n diag(eps_i^2 S_ii)
+
+Errors do not average out as noise does: those of N' over n averages are the vehicle's. eps_i^2 are
+non-negative sums of hat functions ``SPACING_HZ`` apart, fitted by least squares to all bins of all
+trips; N' is that of the round before. ``CERTAIN`` standard deviations that noise alone gives are
+taken off, so that a vehicle that explains its trips has no errors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.optimize import nnls
+from torch import Tensor
+
+from suspnet.ground.types import FloatArray
+from suspnet.trains.spectra.subspace import SpectralMatrix
+
+SPACING_HZ = 1.0
+"""Distance of the frequencies between which errors are interpolated."""
+ROUNDS = 3
+"""Rounds of least squares, each with the weights of the one before."""
+CERTAIN = 3.0
+"""Standard deviations of noise above which there is an error."""
+RIDGE = 1e-9
+"""Added to the scaled normal equations, which are singular where a sensor shows nothing."""
+LARGEST = 10.0
+"""Largest error: a sensor that shows nothing of the vehicle."""
+
+
+@dataclass(frozen=True)
+class Explained:
+    """A trip and what a vehicle makes of it.
+
+    `noise` is N (n_freq, m, m), `responses` H (p, m, n_freq); `bins` and `sensors` are their
+    numbers among those of all trips.
+    """
+
+    spectra: SpectralMatrix
+    noise: Tensor
+    responses: Tensor
+    bins: Tensor
+    sensors: Sequence[int]
+
+    def rest(self, squares: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return W (S - N) W^*, its standard deviation by noise, and the pattern of each sensor.
+
+        Real and imaginary parts one after the other, (n_freq, n), (n_freq, n), (n_freq, m, n), all
+        times n averages; `squares` (n_freq, m) are eps_i^2 in N'.
+        """
+        n, densities = self.spectra.n_averages, self.spectra.densities
+        errors = torch.diag_embed(n * squares * densities)
+        root = torch.linalg.inv(torch.linalg.cholesky(self.noise + errors))
+        p = len(self.responses)
+        free = torch.linalg.qr(root @ self.responses.permute(2, 1, 0), mode="complete")[0]
+        rows = free[:, :, p:].mH @ root
+        target = n * rows @ (self.spectra.values - self.noise) @ rows.mH
+        # a product of two columns averaged n times scatters by 1 / sqrt n
+        power = (rows @ self.noise @ rows.mH).diagonal(dim1=-2, dim2=-1).real
+        scatter = (n / 2 * power[:, :, None] * power[:, None, :]).sqrt()
+        patterns = torch.einsum("fai,fbi->fiab", rows, rows.conj())
+        patterns = patterns * (n * densities)[:, :, None, None]
+        deviations = torch.stack([scatter, scatter], dim=-1)
+        return _flat(target), deviations.flatten(1), _flat(patterns)
+
+
+def model_errors(
+    frequencies_hz: Tensor, trips: Sequence[Explained], before: Tensor | None, n_sensors: int
+) -> Tensor:
+    """Return eps, (n_freq, n_sensors) [-]; `before` is that of an earlier round, None: 0."""
+    basis = torch.as_tensor(_hats(frequencies_hz.numpy()))
+    zeros = torch.zeros(len(basis), n_sensors, dtype=torch.float64)
+    squares = zeros if before is None else before**2
+    n = basis.shape[1] * n_sensors
+    for _ in range(ROUNDS):
+        information, score, scatter = np.zeros((n, n)), np.zeros(n), np.zeros(n)
+        for trip in trips:
+            sensors = list(trip.sensors)
+            target, deviations, patterns = trip.rest(squares[trip.bins][:, sensors])
+            # (n_freq, n, n_knots, n_sensors)
+            columns = zeros.new_zeros(*target.shape, basis.shape[1], n_sensors)
+            columns[..., sensors] = torch.einsum("fk,fmr->frkm", basis[trip.bins], patterns)
+            rows = columns.flatten(0, 1).flatten(1).numpy()
+            information += rows.T @ rows
+            score += rows.T @ target.flatten().numpy()
+            scatter += (rows**2).T @ deviations.flatten().numpy() ** 2
+        found = _non_negative(information, score - CERTAIN * np.sqrt(scatter))
+        squares = basis @ torch.as_tensor(found.reshape(-1, n_sensors))
+        squares = squares.clamp(max=LARGEST**2)
+    return squares.sqrt()
+
+
+def _non_negative(information: FloatArray, score: FloatArray) -> FloatArray:
+    """Return the x >= 0 that minimises x^T information x / 2 - score^T x."""
+    sizes = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    scaled = information / sizes[:, None] / sizes + RIDGE * np.eye(len(sizes))
+    factor = np.linalg.cholesky(scaled)
+    return np.asarray(nnls(factor.T, np.linalg.solve(factor, score / sizes))[0] / sizes)
+
+
+def _hats(frequencies_hz: FloatArray) -> FloatArray:
+    """Return hat functions that sum to 1, (n_freq, n_knots)."""
+    low, high = frequencies_hz[0], frequencies_hz[-1]
+    knots = np.linspace(low, high, max(2, round((high - low) / SPACING_HZ) + 1))
+    return np.stack([np.interp(frequencies_hz, knots, row) for row in np.eye(len(knots))], axis=1)
+
+
+def _flat(matrices: Tensor) -> Tensor:
+    """Return real and imaginary parts of matrices (..., n, n) one after the other."""
+    return torch.view_as_real(matrices).flatten(-3)
