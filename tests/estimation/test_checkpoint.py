@@ -220,7 +220,7 @@ def test_altered_description_is_rejected(saved):
         ("[]", "not a suspnet model"),
         ('{"a": 1}', "not a suspnet model"),
         ('{"schema_version": 99}', "schema version 99"),
-        ('{"schema_version": 2}', "schema version 2, this suspnet reads 10; train again"),
+        ('{"schema_version": 2}', "schema version 2, this suspnet reads 11; train again"),
     ],
 )
 def test_foreign_description_is_rejected(saved, content, message):

@@ -8,22 +8,26 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from scipy.stats import norm
+from scipy.stats import t as student_t
 from vehicles import AM96
 
 from suspnet.curves.welch import Welch
-from suspnet.estimation.commissioned_bogie import CommissionedBogie
+from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScatter
 from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.ground.parameters import COMPONENTS, FORWARD, REVERSE
 from suspnet.trains.fits import bogie_fit, bogie_search
-from suspnet.trains.fits.bogie_fit import (
-    ALIGNED,
-    EXPLAINED,
-    commission_bogie,
-    fit_parts,
-    with_further_parts,
-)
+from suspnet.trains.fits import healthy_scatter as bogie_scatter
+from suspnet.trains.fits.bogie_fit import SENSITIVITY, commission_bogie, fit_parts
 from suspnet.trains.fits.bogie_misfit import BogieMisfit
-from suspnet.trains.fits.bogie_search import SearchEnd, best_end, search, tolerances
+from suspnet.trains.fits.bogie_search import (
+    SearchEnd,
+    best_end,
+    healthy_end,
+    search,
+    tolerances,
+)
+from suspnet.trains.fits.healthy_scatter import read_as_later
 from suspnet.trains.identification.bogie_trips import PARTS_OF_BOGIE
 from suspnet.trains.spectra.bogie_trip import BogieTrip
 from suspnet.trains.spectra.subspace import SpectralMatrix
@@ -162,26 +166,25 @@ def test_derivatives_are_those_of_differences(are_healthy, lost):
         np.testing.assert_allclose(found[:, j], numeric, atol=1e-6 * scale, rtol=1e-4)
 
 
-@pytest.fixture(scope="module")
-def explained(commissioned):
-    """Return a healthy trip and its estimate."""
-    one = trip(drawn(VEHICLE, row({}), 5), 70.0)
-    return one, fit_parts(commissioned, one, start=ratios({}))
-
-
-@pytest.mark.parametrize("misfit", [1.0, 1.1, 1.6])
-def test_unexplained_residuals_widen_intervals(commissioned, explained, misfit):
-    one, explained = explained
-    found = fit_parts(replace(commissioned, misfit=misfit), one, start=ratios({}))
-    n_inputs, n_sensors = len(VEHICLE.inputs), 6
-    n = 2 * len(BINS) * n_inputs * (n_sensors - n_inputs)
-    excess = ALIGNED**2 * n * max(0.0, max(misfit, found.misfit) ** 2 - EXPLAINED**2)
-    wider = math.sqrt(1 + excess / max(1.0, found.misfit) ** 2)
-    # what the healthy trips tell of the vehicle is not less certain, so that it is a bit less
-    widened = found.deviations / explained.deviations
-    assert (widened <= 1.001 * wider).all()
-    assert (widened >= 0.75 * wider).all()
-    assert (wider == 1) == (max(misfit, found.misfit) <= EXPLAINED)
+def test_scatter_and_few_trips_widen_intervals(commissioned):
+    """The covariance is tau^2 (C + V + D), as the docstring says."""
+    one, parts = trip(drawn(VEHICLE, row({}), 5), 70.0), len(COMPONENTS) - 1
+    of_noise = fit_parts(replace(commissioned, scatter=None), one, start=ratios({})).covariance
+    own, alike = (0.01, 0.02, 0.0, 0.03), (0.0, 0.01, 0.02, 0.0)
+    scatter = HealthyScatter(own, alike, 5)
+    bogie = replace(commissioned, scatter=scatter, misfit=2.0)
+    later = fit_parts(bogie, one, start=ratios({}))
+    logs, expected = np.log(later.values[:-1]), np.zeros_like(of_noise)
+    for i, j in np.ndindex(parts, parts):
+        kinds = COMPONENTS[i][:3], COMPONENTS[j][:3]
+        if kinds[0] == kinds[1]:
+            kind = ("k_p", "c_p", "k_s", "c_s").index(kinds[0])
+            expected[i, j] = alike[kind] ** 2 + (i == j) * own[kind] ** 2
+    for i, log in enumerate(logs):
+        wear = max(abs(log), np.abs(logs).max() / 2)
+        expected[i, i] += (1 - 1 / 2.0**2) * (SENSITIVITY[COMPONENTS[i][:3]] * wear) ** 2
+    tau = student_t(4).ppf(0.95) / norm.ppf(0.95)
+    np.testing.assert_allclose(later.covariance, tau**2 * (of_noise + expected), rtol=1e-9)
 
 
 def test_exact_spectra_give_the_exact_parts():
@@ -236,8 +239,6 @@ def test_parts_are_found_without_the_sensor_that_sensitivities_are_relative_to()
 @pytest.mark.parametrize(
     ("near", "misfits", "converged", "chosen", "searched"),
     [
-        # healthy trips that are nearly explained are not searched again in the same valley
-        pytest.param((1.3, 1.4), (1.2, 1.3), (True, True), 0, "wwf", id="healthy"),
         ((1.1, 9.0), (1.0, 9.0), (True, True), 0, "wf"),
         ((1.1, 1.1), (1.05, 1.06), (False, True), 1, "wfwf"),
         ((2.0, 1.1), (1.6, 1.0), (True, True), 1, "wwf"),
@@ -247,7 +248,7 @@ def test_parts_are_found_without_the_sensor_that_sensitivities_are_relative_to()
     ],
 )
 def test_another_start_is_tried_where_the_first_fails(
-    monkeypatch, request, near, misfits, converged, chosen, searched
+    monkeypatch, near, misfits, converged, chosen, searched
 ):
     order = []
 
@@ -264,8 +265,7 @@ def test_another_start_is_tried_where_the_first_fails(
     left = iter(starts)
     monkeypatch.setattr(bogie_search, "end_near", lambda *_: order.append("w") or next(left))
     one = trip(drawn(VEHICLE, row({}), 5), 70.0)
-    are_healthy = "healthy" in request.node.name
-    found = best_end(BogieMisfit(VEHICLE, [NOISE], [one], are_healthy), explained=1.15)
+    found = best_end(BogieMisfit(VEHICLE, [NOISE], [one], are_healthy=False), explained=1.15)
     assert found is ends[chosen]
     assert "".join(order) == searched
 
@@ -358,7 +358,8 @@ def test_healthy_trips_end_at_the_minimum(masses, part):
         parts[0, -1] = mass
         true = vehicle.with_uncertain(parts, torch.as_tensor(numbers))
         trips.append(trip(drawn(vehicle, true, i), 70.0))
-    end = best_end(BogieMisfit(vehicle, [NOISE] * len(trips), trips, True), EXPLAINED)
+    fit = BogieMisfit(vehicle, [NOISE] * len(trips), trips, are_healthy=True)
+    end = healthy_end(fit).finished(math.inf)
     residuals, slopes = end.fit.exact(end.x), end.fit.exact.jacobian(end.x)
     step = np.linalg.lstsq(slopes, -residuals, rcond=None)[0]
     deviations = np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)))
@@ -414,28 +415,95 @@ def test_derivatives_by_the_slopes_are_those_of_differences():
         np.testing.assert_allclose(jacobian[:, column], difference, atol=1e-5 * scale)
 
 
-def test_what_does_not_explain_its_trips_is_given_further_parts(commissioned, monkeypatch):
-    """A soft floor below one sensor of the body, which the family without floors lacks."""
-    monkeypatch.setattr(bogie_fit, "FURTHER_PARTS", (("floors",), ("track",)))
+def floor_trips():
+    """Return healthy trips with a soft floor below one sensor of the body."""
     richer = VEHICLE.with_parts(("floors",))
-    assert richer.distribution.names[: len(UNCERTAIN)] == VEHICLE.distribution.names
     trips = []
     for i, mass in enumerate(MASSES):
         whole = dict(zip(VEHICLE.columns, row({}, mass)[0].tolist(), strict=True))
         whole |= {"floor_softness_body_left": 1.4, "floor_softness_body_right": 0.0}
         ratios_of = torch.tensor([[whole.get(name, 1.0) for name in richer.columns]])
         trips.append(trip(drawn(richer, ratios_of.double(), i), 70.0))
-    without = commission_bogie(VEHICLE, trips)
-    found = with_further_parts(without, VEHICLE, trips)
-    assert without.misfit > 1.3
+    return trips
+
+
+@pytest.mark.parametrize("enriched_from", [1.3, math.inf], ids=["all at once", "what is worth it"])
+def test_what_does_not_explain_its_trips_is_given_further_parts(monkeypatch, enriched_from):
+    monkeypatch.setattr(bogie_search, "ENRICHED_FROM", enriched_from)
+    trips, parts = floor_trips(), ("track", "floors")
+    found = commission_bogie(VEHICLE, trips, further_parts=parts)
+    numbers = found.generator.distribution
+    assert numbers.names[: len(UNCERTAIN)] == VEHICLE.distribution.names
+    # a track that does not give way is not worth it
+    assert ("track" in found.generator.parts) == math.isfinite(enriched_from)
+    assert commission_bogie(VEHICLE, trips).misfit > 1.3
     assert found.misfit == pytest.approx(1, abs=0.1)
-    softness = dict(
-        zip(richer.distribution.names, found.generator.distribution.median, strict=True)
-    )
+    softness = dict(zip(numbers.names, numbers.median, strict=True))
     assert softness["floor_softness_body_left"] == pytest.approx(1.4, abs=0.05)
     assert softness["floor_softness_body_right"] == pytest.approx(0, abs=0.05)
-    # those that explain their trips are given none
-    assert with_further_parts(commissioned, VEHICLE, trips) is commissioned
+
+
+def test_what_explains_its_trips_is_given_none():
+    trips = [trip(drawn(VEHICLE, row({}, m), i), 70.0) for i, m in enumerate(MASSES)]
+    found = commission_bogie(VEHICLE, trips, further_parts=("track", "floors"))
+    assert found.generator.parts == VEHICLE.parts
+
+
+def test_errors_of_the_vehicle_are_learnt_where_they_are(commissioned):
+    """The floor moves the body's left sensor, and parts are read in spite of it."""
+    found = commission_bogie(VEHICLE, floor_trips())
+    assert found.misfit > 1.3
+    errors = dict(zip(VEHICLE.sensors, found.errors.square().mean(dim=0).sqrt(), strict=True))
+    assert errors["body_left"] > 0.05
+    assert commissioned.errors.max() < 0.1 * errors["body_left"]
+
+
+def test_healthy_trips_are_left_out_as_by_a_fit_to_the_others():
+    trips = [trip(drawn(VEHICLE, row({}, m), i), 70.0) for i, m in enumerate((*MASSES, 1.0))]
+    end = healthy_end(BogieMisfit(VEHICLE, [NOISE] * 4, trips, are_healthy=True)).finished(math.inf)
+    logs, covariances = read_as_later(end.fit, end.x)
+    for i, one in enumerate(trips):
+        others = commission_bogie(VEHICLE, [other for other in trips if other is not one])
+        later = fit_parts(replace(others, scatter=None), one, start=ratios({}))
+        deviations = np.sqrt(np.diag(covariances[i]))
+        np.testing.assert_allclose(later.deviations, deviations, rtol=0.15)
+        assert (np.abs(np.log(later.values) - logs[i]) < 0.5 * deviations)[:12].all()
+
+
+def test_scatter_is_what_noise_does_not_explain(monkeypatch):
+    rng = np.random.default_rng(0)
+    n, kinds = 4000, np.array([name[:3] for name in COMPONENTS[:-1]])
+    noise = np.diag(rng.uniform(0.005, 0.01, 13) ** 2)
+    logs = rng.multivariate_normal(np.zeros(13), noise, n)
+    own, alike = (0.02, 0.0, 0.01, 0.03), (0.01, 0.03, 0.0, 0.02)
+    for kind, scatter, shared in zip(("k_p", "c_p", "k_s", "c_s"), own, alike, strict=True):
+        of = np.flatnonzero(kinds == kind)
+        logs[:, of] += scatter * rng.standard_normal((n, len(of)))
+        logs[:, of] += shared * rng.standard_normal((n, 1))
+    monkeypatch.setattr(
+        bogie_scatter, "read_as_later", lambda *_: (logs, np.tile(noise, (n, 1, 1)))
+    )
+    found = bogie_scatter.healthy_scatter(SimpleNamespace(trips=[None] * n), np.zeros(1))
+    np.testing.assert_allclose(found.own, own, atol=2e-3)
+    np.testing.assert_allclose(found.alike, alike, atol=2e-3)
+    assert found.n_trips == n
+
+
+def test_lasting_errors_widen_the_posterior_as_the_docstring_says():
+    trips = [trip(drawn(VEHICLE, row({}, m), i), 70.0) for i, m in enumerate(MASSES)]
+    errors = torch.full((len(BINS), 6), 0.03, dtype=torch.float64)
+    fit = BogieMisfit(VEHICLE, [NOISE] * 3, trips, are_healthy=True, errors=errors)
+    x, excess = fit.start(), 1.3
+    jacobian = fit.exact.jacobian(x)
+    data, prior = jacobian[: -len(x)], jacobian[-len(x) :]
+    n_alike = 3 / 0.75
+    weights = [1 + share * (n_alike - 1) for share in fit.exact.error_shares(x)]
+    middle = sum(w * np.outer(j, j) for w, j in zip(weights, data, strict=True)) / excess
+    inverse = np.linalg.inv(data.T @ data / excess + prior.T @ prior)
+    expected = inverse @ (middle + prior.T @ prior) @ inverse
+    np.testing.assert_allclose(fit.covariance(x, excess), expected, rtol=1e-6)
+    certain = replace(fit, errors=None).covariance(x, excess)
+    assert (np.diag(expected)[:10] > np.diag(certain)[:10]).all()
 
 
 @pytest.mark.parametrize(

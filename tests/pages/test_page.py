@@ -10,7 +10,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 from commissioned_example import MASSES, SETTINGS, UNCERTAIN, commissioned_example, trip
+from vehicles import AM96
 
 from suspnet.estimation.damping_laws import Laws
 from suspnet.estimation.flags import INCOMPLETE, UNTRUSTED
@@ -22,6 +24,7 @@ from suspnet.trains.identification import commissioning_summary as words
 from suspnet.trains.identification.healthy_trips import HealthyTrips
 from suspnet.trains.pages import commissioning_page as figures
 from suspnet.trains.pages.commissioning_page import training_notes, write_outcome
+from suspnet.vehicle import SpatialVehicle
 from suspnet.vehicle.quantities import QUANTITIES
 
 HOSTILE = "<script>alert('x')</script> & \"$x_\" \udcff"
@@ -222,18 +225,32 @@ def test_what_healthy_means_is_german_with_its_laws(commissioned, tmp_path, blan
 
 
 def bogie(misfit, converged=True):
-    """Return what the page says of a bogie: one damper of twelve is 12 % above its kind."""
+    """Return a bogie of which one damper of twelve is 12 % above its kind, with errors."""
     values = [1.16 if name == "c_p_axle2_left" else 1.0 for name in COMPONENTS]
     healthy = SimpleNamespace(names=COMPONENTS, values=np.array(values))
-    masses = np.ones(3)
-    return SimpleNamespace(misfit=misfit, converged=converged, healthy=healthy, masses=masses)
+    errors = torch.full((5, 6), 0.02, dtype=torch.float64)
+    errors[2, 3] = 0.4
+    vehicle = SpatialVehicle(AM96, parts=("bushings", "track"), distribution="prior")
+    return SimpleNamespace(
+        misfit=misfit,
+        converged=converged,
+        healthy=healthy,
+        masses=np.ones(3),
+        errors=errors,
+        generator=vehicle,
+    )
 
 
 @pytest.mark.parametrize(
     ("misfit", "converged", "tone", "said"),
     [
-        (1.05, True, "good", "That explains the healthy trips: up to 1.15 is"),
-        (1.3, True, "notice", "A misfit of the parts above 1.15 means that"),
+        (
+            1.05,
+            True,
+            "good",
+            "its error counts as noise: 2 % of a signal in the median bin, at most",
+        ),
+        (1.3, True, "good", "at most 40 %, of frame axle1 right at 3 Hz."),
         (1.05, False, "notice", words.NOT_CONVERGED),
     ],
 )
@@ -242,7 +259,8 @@ def test_the_verdict_is_that_of_the_parts_where_they_are_read(
 ):
     found, outcome = commissioned
     unlike = replace(outcome, misfit=2.34, n_agree=0, n_starts=0, converged=False)
-    write_outcome(tmp_path, found, unlike, bogie(misfit, converged))
+    bins = SimpleNamespace(frequencies_hz=torch.arange(1.0, 6.0))
+    write_outcome(tmp_path, replace(found, of_parts=(bins,)), unlike, bogie(misfit, converged))
     page = (tmp_path / "commissioning.html").read_text(encoding="utf-8")
     assert re.findall(r'class="result (\w+)"', page) == [tone]
     assert "starts" not in page.lower()
@@ -251,6 +269,7 @@ def test_the_verdict_is_that_of_the_parts_where_they_are_read(
     assert text.index(parts) < text.index(said)
     assert "dampers by up to 11.5 %" in text
     assert "above 1.15 something" in text
+    assert "Track under the wheelsets" in text
     verdict = json.loads((tmp_path / "commissioning.json").read_text())["verdict"]
     assert verdict[0].startswith(parts)
     assert "explains" not in verdict[0]

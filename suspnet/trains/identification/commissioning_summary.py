@@ -245,7 +245,7 @@ def doubts_of_parts(bogie: CommissionedBogie) -> list[str]:
     return [*reasons, *filter(None, [doubt])]
 
 
-def errors_of_parts(bogie: CommissionedBogie, frequencies_hz: FloatArray) -> str:
+def errors_of_parts(bogie: CommissionedBogie, healthy: HealthyTrips) -> str:
     """Return a sentence on the errors of a bogie's responses, empty if they are not known."""
     if bogie.errors is None:
         return ""
@@ -256,7 +256,7 @@ def errors_of_parts(bogie: CommissionedBogie, frequencies_hz: FloatArray) -> str
         "model-errors" if largest.any() else "no-model-errors",
         typical=float(np.median(largest.max(axis=1))),
         most=float(largest.max()),
-        frequency=float(frequencies_hz[i]),
+        frequency=float(healthy.of_parts[0].frequencies_hz[i]),
         place=bogie.generator.sensors[int(sensor)].replace("_", " "),
     )
 

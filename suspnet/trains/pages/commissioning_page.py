@@ -127,7 +127,7 @@ def _page_values(
     else:
         verdict, threshold = words.of_parts(bogie), EXPLAINED
         doubts = [*healthy.doubts, *words.doubts_of_parts(bogie)]
-        calm = words.errors_of_parts(bogie, healthy.of_parts[0].frequencies_hz.numpy())
+        calm = words.errors_of_parts(bogie, healthy)
     # the numbers below a heading for each part of the vehicle that they describe
     numbers = words.numbers(outcome) + (words.further_numbers(bogie) if bogie else [])
     groups: dict[str, list[dict[str, Any]]] = {}
