@@ -248,9 +248,9 @@ def bogie(misfit, converged=True):
             1.05,
             True,
             "good",
-            "its error counts as noise: 2 % of a signal in the median bin, at most",
+            "Where the vehicle errs, its error counts as noise:",
         ),
-        (1.3, True, "good", "at most 40 %, of frame axle1 right at 3 Hz."),
+        (1.3, True, "good", "of frame axle1 right at 3"),
         (1.05, False, "notice", words.NOT_CONVERGED),
     ],
 )
