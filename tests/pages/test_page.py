@@ -250,7 +250,7 @@ def bogie(misfit, converged=True):
             "good",
             "Where the vehicle errs, its error counts as noise:",
         ),
-        (1.3, True, "good", "of frame axle1 right at 3"),
+        (1.3, True, "good", "of axle 1, right at 3 Hz."),
         (1.05, False, "notice", words.NOT_CONVERGED),
     ],
 )
