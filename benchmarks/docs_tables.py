@@ -20,6 +20,7 @@ import methods_table
 import named_parts
 import numpy as np
 import one_way
+import rough_train
 import readings
 from against_n import METHODS, TUBE
 from cells import Parser, Row
@@ -427,6 +428,7 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
         lambda rows: named_parts.layouts_table(named_parts.stored(LAYOUT_CASES)),
     ),
     "one_way": ("one_way.csv", one_way.table),
+    "rough_train": ("rough_train.csv", rough_train.table),
     "training_time": ("training_time.csv", training_time),
     "two_suspensions": ("two_suspensions.csv", two_suspensions),
     "methods": ("methods.csv", methods_table.table),
