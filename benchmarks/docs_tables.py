@@ -20,8 +20,8 @@ import methods_table
 import named_parts
 import numpy as np
 import one_way
-import rough_train
 import readings
+import rough_train
 from against_n import METHODS, TUBE
 from cells import Parser, Row
 from layouts import layouts_markdown

@@ -381,8 +381,12 @@ def _bogie(content: dict[str, Any], device: str) -> CommissionedBogie:
         content["converged"],
         None if law is None else DampingByTemperature(**law),
         None if errors is None else torch.tensor(errors, dtype=torch.float64),
-        None if scatter is None else HealthyScatter(**_with_tuples(scatter)),
+        None if scatter is None else _scatter(scatter),
     )
+
+
+def _scatter(content: dict[str, Any]) -> HealthyScatter:
+    return HealthyScatter(**_with_tuples(content) | {"noise": tuple(map(tuple, content["noise"]))})
 
 
 def _scaling_json(names: tuple[str, ...], scaling: Scaling | None) -> dict[str, Any]:

@@ -22,11 +22,13 @@ class HealthyScatter:
     `own` and `alike` are standard deviations of the logarithm of a part of each of ``PARAMETERS``
     k_p, c_p, k_s and c_s: of each part alone, and of all of the kind together; `n_trips` is their
     number. It is that of a normal distribution with Student's quantiles of n_trips - 1 degrees.
+    `noise` (12, 12) is the mean covariance of the logarithms that noise alone gives such a trip.
     """
 
     own: tuple[float, ...]
     alike: tuple[float, ...]
     n_trips: int
+    noise: tuple[tuple[float, ...], ...]
 
     @cached_property
     def covariance(self) -> FloatArray:

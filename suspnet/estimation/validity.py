@@ -17,7 +17,7 @@ from suspnet.estimation.relative_velocity import DampingByVelocity
 from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import LEAST_TRIPS
-from suspnet.ground.parameters import PARAMETERS
+from suspnet.ground.parameters import BOGIE_PARTS, PARAMETERS
 from suspnet.ground.records import Place
 from suspnet.ground.settings import LARGEST, check_flag, check_number
 from suspnet.ground.types import FloatArray
@@ -188,6 +188,10 @@ def _check_bogie(model: BogieModel) -> None:
             _check_vector(f"bogie.scatter.{name}", values, len(PARAMETERS) - 1)
             if not (values >= 0).all():
                 raise ValueError(f"`bogie.scatter.{name}` must not be negative")
+        noise = np.array(bogie.scatter.noise, dtype=float)
+        n = len(BOGIE_PARTS)
+        if noise.shape != (n, n) or not np.isfinite(noise).all():
+            raise ValueError(f"`bogie.scatter.noise` must be {n} x {n} finite numbers")
         check_number("bogie.scatter.n_trips", bogie.scatter.n_trips, low=LEAST_TRIPS, whole=True)
 
 

@@ -171,7 +171,7 @@ def test_scatter_and_few_trips_widen_intervals(commissioned):
     one, parts = trip(drawn(VEHICLE, row({}), 5), 70.0), len(COMPONENTS) - 1
     of_noise = fit_parts(replace(commissioned, scatter=None), one, start=ratios({})).covariance
     own, alike = (0.01, 0.02, 0.0, 0.03), (0.0, 0.01, 0.02, 0.0)
-    scatter = HealthyScatter(own, alike, 5)
+    scatter = HealthyScatter(own, alike, 5, ())
     bogie = replace(commissioned, scatter=scatter, misfit=2.0)
     later = fit_parts(bogie, one, start=ratios({}))
     logs, expected = np.log(later.values[:-1]), np.zeros_like(of_noise)

@@ -1,15 +1,25 @@
 """The verdict for parts: naive evidence, one part and several, parts that cannot be told apart."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScatter
 from suspnet.ground.parameters import COMPONENTS
-from suspnet.trains.fits.bogie_fit import PartsEstimate
+from suspnet.trains.fits.bogie_fit import PartsEstimate, beyond_noise
 from suspnet.trains.fits.bogie_misfit import WEAR
-from suspnet.trains.fits.worn_parts import ODDS, RARE, SHARED, STIFFER, USUAL, worn_parts
+from suspnet.trains.fits.worn_parts import (
+    ODDS,
+    RARE,
+    SHARED,
+    STIFFER,
+    USUAL,
+    least_losses,
+    worn_parts,
+)
 
 PARTS = COMPONENTS[:-1]
 DEVIATIONS = np.array([0.003 if name[0] == "k" else 0.01 for name in COMPONENTS])
@@ -109,3 +119,24 @@ def test_parts_that_trade_for_each_other_are_named_together():
     assert set(found[0].names) == {"c_p_axle1_left", "c_p_axle1_right"}
     assert not found[0].is_named
     assert found[0].odds > ODDS
+
+
+@pytest.mark.parametrize("misfit", [1.0, 3.0])
+def test_a_part_is_named_from_its_least_loss_on(misfit):
+    noise = tuple(map(tuple, np.zeros((12, 12))))
+    scatter = HealthyScatter((1e-3, 5e-3, 1e-3, 2e-3), (0.0,) * 4, 6, noise)
+    bogie = CommissionedBogie(None, None, np.ones(6), misfit, True, scatter=scatter)
+    losses = least_losses(bogie)
+    wider = scatter.student(0.9) ** 2
+    for i, name in enumerate(COMPONENTS[:-1]):
+        for loss, is_named in ((losses[name] + 2e-3, True), (losses[name] - 3e-3, False)):
+            logs = np.zeros(13)
+            logs[i] = np.log(1 - loss)
+            covariance = wider * beyond_noise(bogie, logs)
+            worn = worn_parts(PartsEstimate(np.exp(logs), covariance, 1.0, True, 0.9))
+            assert ([part.names for part in worn] == [(name,)]) == is_named
+    assert losses["k_p_axle1_left"] < losses["c_p_axle1_left"] < 0.2
+    never = replace(scatter, own=(2.0,) * 4)
+    assert set(least_losses(replace(bogie, scatter=never)).values()) == {1.0}
+    with pytest.raises(ValueError, match="scatter is not known"):
+        least_losses(replace(bogie, scatter=None))

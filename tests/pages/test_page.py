@@ -14,6 +14,7 @@ import torch
 from commissioned_example import MASSES, SETTINGS, UNCERTAIN, commissioned_example, trip
 from vehicles import AM96
 
+from suspnet.estimation.commissioned_bogie import HealthyScatter
 from suspnet.estimation.damping_laws import Laws
 from suspnet.estimation.flags import INCOMPLETE, UNTRUSTED
 from suspnet.estimation.relative_velocity import DampingByVelocity
@@ -238,6 +239,7 @@ def bogie(misfit, converged=True):
         masses=np.ones(3),
         errors=errors,
         generator=vehicle,
+        scatter=HealthyScatter((1e-3,) * 4, (0.0,) * 4, 5, tuple(map(tuple, 1e-6 * np.eye(12)))),
     )
 
 
@@ -270,6 +272,7 @@ def test_the_verdict_is_that_of_the_parts_where_they_are_read(
     assert "dampers by up to 11.5 %" in text
     assert "above 1.15 something" in text
     assert "Track under the wheelsets" in text
+    assert re.search(r"names a part from this loss on.*primary springs \d", text)
     verdict = json.loads((tmp_path / "commissioning.json").read_text())["verdict"]
     assert verdict[0].startswith(parts)
     assert "explains" not in verdict[0]

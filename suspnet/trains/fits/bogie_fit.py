@@ -131,20 +131,24 @@ def fit_parts(
     own = slice(fit.n_shared, None)
     covariance = fit.covariance(x, max(1.0, misfit) ** 2)[own, own]
     if bogie.scatter is not None:
-        scatter = np.pad(bogie.scatter.covariance, (0, 1))
-        scatter += (1 - 1 / max(1.0, bogie.misfit) ** 2) * _sensitivity_errors(ties @ x[own])
         tied = np.linalg.pinv(ties)
-        covariance = covariance + tied @ scatter @ tied.T
-        covariance = bogie.scatter.student(level) ** 2 * covariance
+        beyond = tied @ beyond_noise(bogie, ties @ x[own]) @ tied.T
+        covariance = bogie.scatter.student(level) ** 2 * (covariance + beyond)
     names = PARAMETERS if equal else COMPONENTS
     return PartsEstimate(np.exp(x[own]), covariance, misfit, end.converged, level, names)
 
 
-def _sensitivity_errors(logs: FloatArray) -> FloatArray:
-    """Return the covariance D of what the sensitivity to wear is off, of logarithms (13,)."""
+def beyond_noise(bogie: CommissionedBogie, logs: FloatArray) -> FloatArray:
+    """Return the covariance V + (1 - 1 / mu_0^2) D of the logarithms of all parts and the mass.
+
+    `logs` (13,) are those found.
+    """
+    assert bogie.scatter is not None
     sizes = np.array([SENSITIVITY.get(kind_of(name), 0.0) for name in COMPONENTS])
     wear = np.abs(logs[:-1])
-    return np.diag(sizes * np.append(np.maximum(wear, wear.max() / 2), 0.0)) ** 2
+    off = np.diag(sizes * np.append(np.maximum(wear, wear.max() / 2), 0.0)) ** 2
+    covariance: FloatArray = np.pad(bogie.scatter.covariance, (0, 1))
+    return covariance + (1 - 1 / max(1.0, bogie.misfit) ** 2) * off
 
 
 def healthy_misfit(

@@ -42,7 +42,9 @@ def healthy_scatter(fit: BogieMisfit, x: FloatArray) -> HealthyScatter:
         shared = float((of_kind.mean(axis=1) ** 2 - common).mean()) - variance / n
         own.append(float(np.sqrt(variance)))
         alike.append(float(np.sqrt(max(0.0, shared))))
-    return HealthyScatter(tuple(own), tuple(alike), len(fit.trips))
+    noise = covariances.mean(axis=0)[: len(BOGIE_PARTS), : len(BOGIE_PARTS)]
+    rows = tuple(map(tuple, noise.tolist()))
+    return HealthyScatter(tuple(own), tuple(alike), len(fit.trips), rows)
 
 
 def read_as_later(fit: BogieMisfit, x: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -24,10 +24,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.ground.findings import WORN, WORN_ONE_OF, Finding, together
 from suspnet.ground.parameters import BOGIE_PARTS, kind_of, part_words
 from suspnet.ground.types import FloatArray
-from suspnet.trains.fits.bogie_fit import PartsEstimate
+from suspnet.trains.fits.bogie_fit import PartsEstimate, beyond_noise
 from suspnet.trains.fits.bogie_misfit import WEAR
 
 USUAL = {"k": 0.003, "c": 0.006}
@@ -44,6 +45,10 @@ ODDS = 20.0
 """Odds from which a part is named."""
 MOST_ODDS = 1000.0
 """Odds above which no number is reported: they are those of a model."""
+
+
+MOST_LOSS, LOSS_STEP = 0.8, 1e-3
+"""Largest loss that is tried where the least one that is named is asked for, and its step."""
 
 
 @dataclass(frozen=True)
@@ -113,6 +118,32 @@ def worn_parts(estimate: PartsEstimate) -> list[WornPart]:
         odds = math.exp(min(log_posterior(worn) - log_posterior(rest), 700.0))  # no overflow
         found.append(WornPart(names, odds, float(estimate.values[j])))
     return sorted(found, key=lambda one: -one.odds)
+
+
+def least_losses(bogie: CommissionedBogie, level: float = 0.9) -> dict[str, float]:
+    """Return the least loss of each part [-] from which it is named by one trip like the healthy.
+
+    1 if it is not named at ``MOST_LOSS`` either. ValueError if their scatter is not known.
+    """
+    if bogie.scatter is None:
+        raise ValueError("how the healthy trips scatter is not known")
+    noise, wider = np.pad(np.array(bogie.scatter.noise), (0, 1)), bogie.scatter.student(level) ** 2
+
+    def is_named(part: int, loss: float) -> bool:
+        logs = np.zeros(len(BOGIE_PARTS) + 1)
+        logs[part] = math.log(1 - loss)
+        covariance = wider * (noise + beyond_noise(bogie, logs))
+        worn = worn_parts(PartsEstimate(np.exp(logs), covariance, 1.0, True, level))
+        return [found.names for found in worn] == [(BOGIE_PARTS[part],)]
+
+    losses = {}
+    for part, name in enumerate(BOGIE_PARTS):
+        low, high = 0.0, MOST_LOSS
+        while high - low > LOSS_STEP:
+            middle = (low + high) / 2
+            low, high = (low, middle) if is_named(part, middle) else (middle, high)
+        losses[name] = high if is_named(part, high) else 1.0
+    return losses
 
 
 def _events(worn: Sequence[int]) -> list[tuple[int, ...]]:

@@ -17,6 +17,7 @@ from suspnet.ground.parameters import BOGIE_PARTS, PARAMETERS, REVERSE, kind_of
 from suspnet.ground.types import FloatArray
 from suspnet.trains.fits.bogie_fit import EXPLAINED, FURTHER_PARTS
 from suspnet.trains.fits.commissioning import Commissioned
+from suspnet.trains.fits.worn_parts import least_losses
 from suspnet.trains.identification.healthy_trips import HealthyTrips
 from suspnet.vehicle.quantities import (
     MASS_DEVIATION,
@@ -259,6 +260,18 @@ def errors_of_parts(bogie: CommissionedBogie, healthy: HealthyTrips) -> str:
         frequency=float(healthy.of_parts[0].frequencies_hz[i]),
         place=bogie.generator.sensors[int(sensor)].replace("_", " "),
     )
+
+
+def reach_of_parts(bogie: CommissionedBogie) -> str:
+    """Return a sentence on the loss from which parts are named, the worst of each kind."""
+    if bogie.scatter is None:
+        return ""
+    losses = least_losses(bogie)
+    worst = {
+        kind: 100 * max(loss for name, loss in losses.items() if kind_of(name) == kind)
+        for kind in PARAMETERS[:-1]
+    }
+    return Finding("named-from", **worst)
 
 
 NOT_CONVERGED = (

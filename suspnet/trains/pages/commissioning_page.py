@@ -124,10 +124,12 @@ def _page_values(
     if bogie is None:
         verdict, threshold = words.verdict(healthy, outcome), INCOMPLETE
         doubts, calm = [*healthy.doubts, *words.doubts(outcome)], words.agreement(outcome)
+        reach = ""
     else:
         verdict, threshold = words.of_parts(bogie), EXPLAINED
         doubts = [*healthy.doubts, *words.doubts_of_parts(bogie)]
         calm = words.errors_of_parts(bogie, healthy)
+        reach = words.reach_of_parts(bogie)
     # the numbers below a heading for each part of the vehicle that they describe
     numbers = words.numbers(outcome) + (words.further_numbers(bogie) if bogie else [])
     groups: dict[str, list[dict[str, Any]]] = {}
@@ -159,6 +161,7 @@ def _page_values(
         "verdict": verdict,
         "doubts": doubts,
         "agreement": "" if doubts else calm,
+        "reach": reach,
         "reference": words.reference(outcome),
         "figure": figure
         and {
