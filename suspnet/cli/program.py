@@ -25,6 +25,7 @@ from hydra._internal import hydra as hydra_application
 from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException, InstantiationException
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -221,12 +222,25 @@ def _checked_loader() -> Iterator[None]:
     if get_args_parser().parse_known_args()[0].experimental_rerun is not None:
         raise ValueError("--experimental-rerun reads a pickle, which can run any code: not allowed")
     application: Any = hydra_application
-    loader, get_help = application.ConfigLoaderImpl, application.Hydra.get_help
-    application.ConfigLoaderImpl, application.Hydra.get_help = CheckedLoader, _help
+    hydra_class, loader = application.Hydra, application.ConfigLoaderImpl
+    get_help, get_mode = hydra_class.get_help, hydra_class.get_mode
+
+    def mode(self: Any, config_name: str, overrides: list[str]) -> RunMode | None:
+        # Hydra composes everything once more to find the mode, which no setting of serve changes
+        if config_name == "serve" and not any(
+            word[:1] in ("-", "+") or word[:5] == "hydra" for word in sys.argv[1:]
+        ):
+            return RunMode.RUN
+        found: RunMode | None = get_mode(self, config_name, overrides)
+        return found
+
+    application.ConfigLoaderImpl = CheckedLoader
+    hydra_class.get_help, hydra_class.get_mode = _help, mode
     try:
         yield
     finally:
-        application.ConfigLoaderImpl, application.Hydra.get_help = loader, get_help
+        application.ConfigLoaderImpl = loader
+        hydra_class.get_help, hydra_class.get_mode = get_help, get_mode
 
 
 def _help(self: Any, help_cfg: DictConfig, *_: Any, **__: Any) -> str:
