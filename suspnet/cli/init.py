@@ -76,7 +76,9 @@ def _write(paths: Sequence[Path], settings: Sequence[str], arguments: Namespace)
         for key in missing:
             without = [trip for trip in new if key in trip.missing]
             where = "" if len(without) == len(new) else f" (in {len(without)} of them)"
-            print(printable(f"  {key}{where}: {folders.how_to_say(key, without)}"))
+            print(printable(f"  {key}{where}: {folders.how_to_say(key)}"))
+        if without := [trip for trip in new if any(key not in folders.HOW for key in trip.missing)]:
+            print(printable(f"  columns: {folders.names_of_columns(without)}"))
         if table and not table.exists() and "mileage_km" in missing:
             firsts = ((trip.files[0].relative_to(folder), trip.stated) for trip in new)
             write_atomically(table, table_of(firsts))

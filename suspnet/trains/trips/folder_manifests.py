@@ -171,7 +171,7 @@ def _check_columns(command_line: Mapping[str, str], trips: Sequence[Trip]) -> No
     for key, value in command_line.items():
         if key.startswith("channels.") and not any(_columns(key, value, t.signals) for t in trips):
             raise ValueError(
-                f"`{key}` must name one or two of the columns {_names_of_columns(trips)}, and "
+                f"`{key}` must name one or two of the columns {names_of_columns(trips)}, and "
                 f"likewise of those at the bogie's other axle, with {OTHER} at their end; "
                 f"FILE:COLUMN is that of one file; got {value!r}"
             )
@@ -413,17 +413,17 @@ def _plain_value(key: str, text: str) -> str | float:
         return text
 
 
-def how_to_say(key: str, trips: Sequence[Trip]) -> str:
-    """Return how a missing value is said, with the columns to choose from."""
+def how_to_say(key: str) -> str:
+    """Return how a missing value is said."""
     if key in HOW:
         return HOW[key]
     pair = "LEFT,RIGHT for a pair"
     if not key.endswith(CHANNELS[2]):
         pair += f", or LEFT,RIGHT,LEFT{OTHER},RIGHT{OTHER} with those of the bogie's other axle"
-    return f"{key}=COLUMN, or {pair}; columns: {_names_of_columns(trips)}"
+    return f"{key}=COLUMN, or {pair}"
 
 
-def _names_of_columns(trips: Sequence[Trip]) -> str:
+def names_of_columns(trips: Sequence[Trip]) -> str:
     """Return the columns of trips, as FILE:COLUMN where several loggers have the same ones."""
     names: dict[str, None] = {}
     note = ""
