@@ -1,6 +1,7 @@
 """The files of a commissioned vehicle: a page, a figure and numbers."""
 
 import logging
+from collections.abc import Mapping
 from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
@@ -31,15 +32,21 @@ from suspnet.trains.recordings.manifest import CHANNELS
 log = logging.getLogger(__name__)
 NAME = "commissioning"
 """Base name of the files."""
-HEADING = N_("Measured and commissioned responses")
+HEADINGS = {
+    "responses": N_("Measured and commissioned responses"),
+    "errors": N_("Errors of the vehicle"),
+}
+"""Heading of each figure by its name."""
 EXPLANATION = N_(
     "Above: by how much each suspension amplifies vibration of each frequency on the trip with the "
     "least noise. The commissioned vehicle should lie on the measured curve "
-    "where its grey band is narrow. Below: the residual of each stretch (grey) and the rms of all "
-    "(blue), over the noise; 1 is noise alone, and a peak far above it is a frequency at which the "
-    "vehicle moves as the model cannot."
+    "where its grey band is narrow."
 )
-ERRORS = N_("Errors of the vehicle")
+RESIDUAL = N_(
+    "Below: the residual of each stretch (grey) and the rms of all (blue), over the noise; 1 is "
+    "noise alone, and a peak far above it is a frequency at which the vehicle moves as the model "
+    "cannot."
+)
 ABOUT_ERRORS = N_(
     "How far off the vehicle is at each sensor, as a percentage of the signal there. Where nothing "
     "is drawn, the healthy trips show no error. Where the error is large, a later trip counts less."
@@ -57,15 +64,15 @@ def write_outcome(
 
     If each part is read, they are of the `bogie`, and the vehicle has its numbers.
     """
-    figure = None
+    figures = {}
     if healthy.groups:
-        figure = responses(healthy, outcome)
-        write_atomically(folder / "figures" / f"{NAME}_responses.png", as_png(figure))
-    elif bogie is not None and bogie.errors is not None:
-        figure = errors(bogie, healthy.of_parts[0].frequencies_hz.numpy())
-        write_atomically(folder / "figures" / f"{NAME}_errors.png", as_png(figure))
+        figures["responses"] = responses(healthy, outcome, with_residuals=bogie is None)
+    if bogie is not None and bogie.errors is not None:
+        figures["errors"] = errors(bogie, healthy.of_parts[0].frequencies_hz.numpy())
+    for name, figure in figures.items():
+        write_atomically(folder / "figures" / f"{NAME}_{name}.png", as_png(figure))
     write_json(folder / f"{NAME}.json", as_json(healthy, outcome, bogie))
-    values = _page_values(healthy, outcome, figure, bogie)
+    values = _page_values(healthy, outcome, figures, bogie)
     path = write_page(folder / f"{NAME}.html", "commissioning.html", **values)
     log.info("-> %s", path)
 
@@ -118,7 +125,7 @@ def as_json(
 def _page_values(
     healthy: HealthyTrips,
     outcome: Commissioned,
-    figure: Figure | None,
+    figures: Mapping[str, Figure],
     bogie: CommissionedBogie | None = None,
 ) -> dict[str, Any]:
     if bogie is None:
@@ -130,6 +137,11 @@ def _page_values(
         doubts = [*healthy.doubts, *words.doubts_of_parts(bogie)]
         calm = words.errors_of_parts(bogie, healthy)
         reach = words.reach_of_parts(bogie)
+    about = [EXPLANATION, RESIDUAL] if bogie is None else [EXPLANATION]
+    explanations = {
+        "responses": " ".join(map(gettext, about)),
+        "errors": gettext(ABOUT_ERRORS),
+    }
     # the numbers below a heading for each part of the vehicle that they describe
     numbers = words.numbers(outcome) + (words.further_numbers(bogie) if bogie else [])
     groups: dict[str, list[dict[str, Any]]] = {}
@@ -163,12 +175,15 @@ def _page_values(
         "agreement": "" if doubts else calm,
         "reach": reach,
         "reference": words.reference(outcome),
-        "figure": figure
-        and {
-            "heading": gettext(HEADING if healthy.groups else ERRORS),
-            "explanation": gettext(EXPLANATION if healthy.groups else ABOUT_ERRORS),
-            "image": data_uri(figure),
-        },
+        "figures": [
+            {
+                "id": name,
+                "heading": gettext(HEADINGS[name]),
+                "explanation": explanations[name],
+                "image": data_uri(figure),
+            }
+            for name, figure in figures.items()
+        ],
         "groups": groups,
         "untold": words.untold(numbers),
         "scale": words.force_scale(vehicle.bogie_mass_kg),
@@ -239,13 +254,16 @@ def residuals(outcome: Commissioned) -> FloatArray:
     return np.where(np.isfinite(outcome.deviations), ratios, np.nan)
 
 
-def responses(healthy: HealthyTrips, outcome: Commissioned) -> Figure:
-    """Draw measured, nominal and commissioned responses of a trip, and all residuals."""
+def responses(healthy: HealthyTrips, outcome: Commissioned, *, with_residuals: bool) -> Figure:
+    """Draw measured, nominal and commissioned responses of a trip, and all residuals if asked."""
     group = int(np.argmin(np.median(outcome.deviations, axis=(1, 2))))  # with the least noise
     measured = healthy.groups[group]
     frequencies_hz, of_groups = outcome.frequencies_hz, residuals(outcome)
-    figure = Figure(figsize=(9.0, 6.4), layout="constrained")
-    axes = figure.subplots(2, 2, sharex=True, sharey="row", height_ratios=(3, 2))
+    heights = (3, 2) if with_residuals else (3,)
+    figure = Figure(figsize=(9.0, 1.4 + sum(heights)), layout="constrained")
+    axes = figure.subplots(
+        len(heights), 2, sharex=True, sharey="row", height_ratios=heights, squeeze=False
+    )
     km, km_per_h = healthy.manifests[measured.trip].mileage_km, 3.6 * measured.speed_m_per_s
     where = Finding("measured-at", km=km, km_per_h=km_per_h)
     curves: tuple[tuple[ComplexArray, str, dict[str, Any]], ...] = (
@@ -254,19 +272,22 @@ def responses(healthy: HealthyTrips, outcome: Commissioned) -> Figure:
         (outcome.fitted, "commissioned vehicle", {"color": FITTED, "lw": 1.0}),
     )
     for link, (title, column) in enumerate(zip(SUSPENSIONS, axes.T, strict=True)):
-        magnitude, below = column
+        magnitude = column[0]
         magnitude.set(title=title)
         ends = band(np.abs(outcome.observed[group, link]), outcome.deviations[group, link])
         style = {"color": MEASURED, "alpha": 0.4, "lw": 0, "label": "95 % band"}
         magnitude.fill_between(frequencies_hz, *ends, **style)
         for values, label, style in curves:
             magnitude.semilogy(frequencies_hz, np.abs(values[group, link]), label=label, **style)
-        _residuals(below, frequencies_hz, of_groups[:, link])
+        if with_residuals:
+            _residuals(column[1], frequencies_hz, of_groups[:, link])
+        column[-1].set_xlabel("frequency [Hz]")
     for axis in axes.flat:
         axis.margins(x=0)
         axis.grid(True, which="both", alpha=0.3)
     axes[0][0].set_ylabel("magnitude")
-    axes[1][0].set_ylabel("residual\nover the noise")
+    if with_residuals:
+        axes[1][0].set_ylabel("residual\nover the noise")
     figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     figure.align_ylabels(axes)
     return figure
@@ -285,6 +306,5 @@ def _residuals(axis: Axes, frequencies_hz: FloatArray, of_groups: FloatArray) ->
     rms = np.sqrt(total.sum(axis=0) / np.where(count, count, np.nan))
     axis.plot(frequencies_hz, rms, color=FITTED, lw=1.2, label="rms of all")
     axis.axhline(1, color="black", lw=0.8, ls=":")
-    axis.set(xlabel="frequency [Hz]")
     axis.set_ylim(0, max(3.0, 1.1 * float(np.nanmax(rms))))
     axis.legend(fontsize="small", loc="upper right")
