@@ -1,11 +1,10 @@
 """Reasons not to trust an estimate: input out of distribution (OOD), and physics a model lacks.
 
-There are six kinds of flags. `OODDetector` sets four: a peak is missing; the features lie outside
+There are five kinds of flags. `OODDetector` sets four: a peak is missing; the features lie outside
 the cloud of the training curves; a parameter lies outside the training range; the generator does
-not explain the curve with any parameters. `Unexplained` sets one if the generator did not explain
-the healthy trips of its commissioning, and `suspnet.trains.identification.trip_flags` one if the
-equations do not explain how left and right differ. `with_doubt` and `with_bogie_doubt` set that
-of physics on every trip read with a vehicle, or a bogie, whose commissioning did not converge.
+not explain the curve with any parameters. `Unexplained` sets that of physics if the generator did
+not explain the healthy trips of its commissioning, `with_doubt` and `with_bogie_doubt` on every
+trip read with a vehicle, or a bogie, whose commissioning did not converge.
 
 Unexplained residual: with d_gf the logarithm of the response of group g of the healthy trips in bin
 f over that of the commissioned vehicle, and s_gf the standard deviation of its real and imaginary
