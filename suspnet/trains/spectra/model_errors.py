@@ -1,16 +1,19 @@
 """Errors of a vehicle's responses by frequency, learnt on trips that it should explain.
 
-The true response of sensor i to input k is H_ik (1 + e_ik), with e_ik of variance eps_i(f)^2. With
-N the noise of a trip, S its spectral matrix of n averages, and rows W that see no motion that the
-vehicle explains (W H = 0, W N' W^* = I), the expected value of the rest is ::
+The true response of sensor i to input k is H_ik (1 + e_ik), with e_ik of variance eps_i(f)^2. Noise
+N averages out over n averages, errors do not: they act like noise of ::
 
-    W (S - N) W^* = sum_i eps_i^2 S_ii (W u_i) (W u_i)^*,     u_i a unit vector,
     N' = N + n diag(eps_i^2 S_ii)
 
-Errors do not average out as noise does: those of N' over n averages are the vehicle's. eps_i^2 are
-non-negative sums of hat functions ``SPACING_HZ`` apart, fitted by least squares to all bins of all
-trips; N' is that of the round before. ``CERTAIN`` standard deviations that noise alone gives are
-taken off, so that a vehicle that explains its trips has no errors.
+on the residuals y_k = V r_k of a bin (`suspnet.trains.spectra.subspace`, with N' for N), V the
+m - p directions that the vehicle does not move. With W = V N'^-1/2 and unit vectors u_i ::
+
+    E sum_k y_k y_k^* / 2 = p W N' W^*
+                          = p W N W^* + p n sum_i eps_i^2 S_ii (W u_i) (W u_i)^*
+
+eps_i^2 are non-negative sums of hat functions ``SPACING_HZ`` apart, fitted by least squares to all
+bins of all trips; N' on the left is that of the round before. ``CERTAIN`` standard deviations that
+noise alone gives are taken off, so that a vehicle that explains its trips has no errors.
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ from scipy.optimize import nnls
 from torch import Tensor
 
 from suspnet.ground.types import FloatArray
-from suspnet.trains.spectra.subspace import SpectralMatrix
+from suspnet.trains.spectra.subspace import SpectralMatrix, SubspaceMisfit
 
 SPACING_HZ = 1.0
 """Distance of the frequencies between which errors are interpolated."""
@@ -53,23 +56,22 @@ class Explained:
     sensors: Sequence[int]
 
     def rest(self, squares: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return W (S - N) W^*, its standard deviation by noise, and the pattern of each sensor.
+        """Return what errors must explain, its standard deviation by noise, and their patterns.
 
-        Real and imaginary parts one after the other, (n_freq, n), (n_freq, n), (n_freq, m, n), all
-        times n averages; `squares` (n_freq, m) are eps_i^2 in N'.
+        Real and imaginary parts one after the other, (n_freq, n), (n_freq, n), (n_freq, m, n);
+        `squares` (n_freq, m) are eps_i^2 in N'.
         """
-        n, densities = self.spectra.n_averages, self.spectra.densities
-        errors = torch.diag_embed(n * squares * densities)
-        root = torch.linalg.inv(torch.linalg.cholesky(self.noise + errors))
-        p = len(self.responses)
-        free = torch.linalg.qr(root @ self.responses.permute(2, 1, 0), mode="complete")[0]
-        rows = free[:, :, p:].mH @ root
-        target = n * rows @ (self.spectra.values - self.noise) @ rows.mH
-        # a product of two columns averaged n times scatters by 1 / sqrt n
-        power = (rows @ self.noise @ rows.mH).diagonal(dim1=-2, dim2=-1).real
-        scatter = (n / 2 * power[:, :, None] * power[:, None, :]).sqrt()
+        n, p = self.spectra.n_averages, len(self.responses)
+        misfit = SubspaceMisfit(self.spectra, self.noise, p, (n * squares).sqrt())
+        residuals, rows = misfit.free(self.responses)
+        noise = rows @ self.noise @ rows.mH
+        target = residuals @ residuals.mH / 2 - p * noise
+        power = noise.diagonal(dim1=-2, dim2=-1).real
+        # a diagonal element is real and scatters as much as both parts of another one
+        parts = (1 + torch.eye(power.shape[1], dtype=power.dtype)) / 2
+        scatter = (p * parts * power[:, :, None] * power[:, None, :]).sqrt()
         patterns = torch.einsum("fai,fbi->fiab", rows, rows.conj())
-        patterns = patterns * (n * densities)[:, :, None, None]
+        patterns = patterns * (p * n * self.spectra.densities)[:, :, None, None]
         deviations = torch.stack([scatter, scatter], dim=-1)
         return _flat(target), deviations.flatten(1), _flat(patterns)
 

@@ -119,11 +119,19 @@ class SubspaceMisfit:
         `responses` (p, m, n_freq) are those of one vehicle.
         """
         noise = torch.diag(self.noise) if self.noise.ndim == 1 else self.noise
-        basis = torch.linalg.qr(self._white(responses[None])[0])[0]
-        free = self._root - basis @ (basis.mH @ self._root)  # (I - P) N^-1/2
-        power = (free @ noise.to(free) * free.conj()).real.sum(dim=(-2, -1))
-        shares: Tensor = 1 - power / (self._root.shape[-1] - self.n_inputs)
+        rows = self.free(responses)[1]
+        power = (rows @ noise.to(rows) * rows.conj()).real.sum(dim=(-2, -1))
+        shares: Tensor = 1 - power / rows.shape[1]
         return shares
+
+    def free(self, responses: Tensor) -> tuple[Tensor, Tensor]:
+        """Return residuals (n_freq, m - p, p) in directions that responses (p, m, n_freq) leave.
+
+        Also the rows W (n_freq, m - p, m) that make these of sensors: W H = 0, W N W^* = 1.
+        """
+        basis = torch.linalg.qr(self._white(responses[None])[0], mode="complete")[0]
+        directions = basis[:, :, self.n_inputs :].mH
+        return directions @ self._signals, directions @ self._root
 
     def __call__(self, responses: Tensor) -> Tensor:
         """Return the residuals (n_rows, n_points) of responses (n_rows, p, m, n_freq)."""
