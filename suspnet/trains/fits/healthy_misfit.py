@@ -136,14 +136,14 @@ class HealthyMisfit:
     def _each(self, thetas: Sequence[Tensor], spread: float, high_hz: float) -> list[Tensor]:
         """Return the residuals of each group at points of its own, (n_rows, n_points)."""
         misfits = self._thinned if spread >= ROUGH else self._groups
-        found: dict[int, Tensor] = {}
+        residuals: dict[int, Tensor] = {}
         # one call for all groups at the same speeds: a call for 1 row takes as long as for 10
         for alike in self._alike:
             rows = [self.ratios(thetas[group], group) for group in alike]
             expected = misfits[alike[0]].observer.noise_free(torch.cat(rows))
-            for group, one in zip(alike, expected.split([*map(len, rows)]), strict=True):
-                found[group] = self._compared(misfits[group], one, spread, high_hz)
-        return [found[group] for group in range(len(misfits))]
+            for group, own in zip(alike, expected.split([*map(len, rows)]), strict=True):
+                residuals[group] = self._compared(misfits[group], own, spread, high_hz)
+        return [residuals[group] for group in range(len(misfits))]
 
     def residuals(self, theta: Tensor, spread: float, high_hz: float = math.inf) -> Tensor:
         """Return all residuals, including those of the priors, (n_rows, n_points)."""
@@ -202,15 +202,15 @@ class HealthyMisfit:
         covariance = factor @ spread[:n, :n] @ factor.T
         logs = np.array(self.prior.mean) + factor @ x[:n]
         rows = tuple(map(tuple, ((covariance + covariance.T) / 2).tolist()))
-        found = LogNormal(self.prior.names, tuple(logs.tolist()), rows)
+        posterior = LogNormal(self.prior.names, tuple(logs.tolist()), rows)
         own = slice(len(x) - self.n_of_damping, None)
         laws = self._of_damping.laws(x[own], spread[own, own])
-        return found, laws, mean_square
+        return posterior, laws, mean_square
 
-    def distance(self, one: FloatArray, other: FloatArray, posterior: LogNormal) -> float:
+    def distance(self, x: FloatArray, other: FloatArray, posterior: LogNormal) -> float:
         """Return the largest difference of a number, in deviations of the posterior."""
         n = len(self.prior.names)
-        logs = self.every.factor.numpy() @ (one[:n] - other[:n])
+        logs = self.every.factor.numpy() @ (x[:n] - other[:n])
         return float(np.abs(logs / posterior.deviations).max())
 
     def curves(self, theta: Tensor) -> tuple[ComplexArray, ComplexArray, FloatArray]:

@@ -122,19 +122,19 @@ class VehicleSearch(HealthyMisfit):
         """
         # searches from the median, then from redrawn points as long as these find a better one
         rng = np.random.default_rng(SEED)
-        found = [self.search(self.widened(ratio), SPREADS[:1]) for ratio in BAND_RATIOS]
+        ends = [self.search(self.widened(ratio), SPREADS[:1]) for ratio in BAND_RATIOS]
         for _ in range(MAX_ROUNDS):
-            best = min(found, key=attrgetter("cost"))
+            best = min(ends, key=attrgetter("cost"))
             more = [self.search(x, SPREADS[:1]) for x in self.redrawn(best.x, rng)]
-            found += more
-            if min((one.cost for one in more), default=math.inf) >= (1 - LEAST_GAIN) * best.cost:
+            ends += more
+            if min((end.cost for end in more), default=math.inf) >= (1 - LEAST_GAIN) * best.cost:
                 break
         # group the results by valley
         separate: list[End] = []
         again: list[End] = []
-        for one in sorted(found, key=attrgetter("cost")):
-            near = [other for other in separate if np.abs(one.x - other.x).max() < AGREEMENT]
-            (again if near else separate).append(near[0] if near else one)
+        for end in sorted(ends, key=attrgetter("cost")):
+            near = [other for other in separate if np.abs(end.x - other.x).max() < AGREEMENT]
+            (again if near else separate).append(near[0] if near else end)
         n_separate = max(1, n_starts - 1)
         return [*separate[:n_separate], *again[:1], *separate[n_separate:]][:n_starts]
 
@@ -202,8 +202,8 @@ class VehicleSearch(HealthyMisfit):
         is left to gain counts in units of the noise, which is as large as the residuals. A search
         that explains the trips badly ends with the first round of little gain.
         """
-        found = self.search(start, (0.0,))
-        level = float(np.mean(np.square(self.misfits(row_of(found.x)))))
+        end = self.search(start, (0.0,))
+        level = float(np.mean(np.square(self.misfits(row_of(end.x)))))
         solver = LevenbergMarquardt(
             max_iter=ROUND,
             tol=TOL,
@@ -214,25 +214,25 @@ class VehicleSearch(HealthyMisfit):
             derivative=partial(self._slopes, 0.0, math.inf),
         )
         for _ in range(N_ROUNDS):
-            if (other := meets(found)) is not None:
-                found = other
+            if (other := meets(end)) is not None:
+                end = other
                 break
-            one = solver.minimise(partial(self._residuals, 0.0, math.inf), row_of(found.x))
-            gains_little = found.cost - float(one.cost[0]) < LEAST_GAIN * found.cost
-            found = End(one.parameters[0].numpy(), float(one.cost[0]), bool(one.converged[0]))
-            if found.converged or (level > UNLIKELY and gains_little):
+            step = solver.minimise(partial(self._residuals, 0.0, math.inf), row_of(end.x))
+            gains_little = end.cost - float(step.cost[0]) < LEAST_GAIN * end.cost
+            end = End(step.parameters[0].numpy(), float(step.cost[0]), bool(step.converged[0]))
+            if end.converged or (level > UNLIKELY and gains_little):
                 break
         self.on_step()
-        return found
+        return end
 
-    def meets(self, one: End, posterior: LogNormal, other: End) -> End | None:
+    def meets(self, end: End, posterior: LogNormal, other: End) -> End | None:
         """Return the first of two searches if the second is on its way there, by its posterior."""
-        is_near = self.distance(one.x, other.x, posterior) < NEAR
-        return one if is_near and abs(one.cost - other.cost) < NEARLY else None
+        is_near = self.distance(end.x, other.x, posterior) < NEAR
+        return end if is_near and abs(end.cost - other.cost) < NEARLY else None
 
-    def agrees(self, one: FloatArray, posterior: LogNormal, other: FloatArray) -> bool:
+    def agrees(self, x: FloatArray, posterior: LogNormal, other: FloatArray) -> bool:
         """Return whether two points are one vehicle, by the posterior of one of them."""
-        return self.distance(one, other, posterior) < AGREEMENT
+        return self.distance(x, other, posterior) < AGREEMENT
 
     def _bounds(self, n_coordinates: int) -> tuple[Tensor, Tensor]:
         """Return the bounds of theta; a share that counts by its size is not negative.
