@@ -250,9 +250,9 @@ def bogie(misfit, converged=True):
             1.05,
             True,
             "good",
-            "Where the vehicle errs, its error counts as noise:",
+            "What the model does not explain counts as noise: 2",
         ),
-        (1.3, True, "good", "of axle 1, right at 3 Hz."),
+        (1.3, True, "good", "of axle 1, right, 3 Hz)"),
         (1.05, False, "notice", words.NOT_CONVERGED),
     ],
 )
@@ -272,7 +272,7 @@ def test_the_verdict_is_that_of_the_parts_where_they_are_read(
     assert "dampers by up to 11.5 %" in text
     assert "above 1.15 something" in text
     assert "Track under the wheelsets" in text
-    assert re.search(r"names a part from this loss on.*primary springs \d", text)
+    assert re.search(r"names a part, for the hardest.*primary springs \d", text)
     verdict = json.loads((tmp_path / "commissioning.json").read_text())["verdict"]
     assert verdict[0].startswith(parts)
     assert "explains" not in verdict[0]

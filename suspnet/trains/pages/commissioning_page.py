@@ -34,7 +34,7 @@ NAME = "commissioning"
 """Base name of the files."""
 HEADINGS = {
     "responses": N_("Measured and commissioned responses"),
-    "errors": N_("Errors of the vehicle"),
+    "errors": N_("Errors of the model"),
 }
 """Heading of each figure by its name."""
 EXPLANATION = N_(
@@ -48,7 +48,7 @@ RESIDUAL = N_(
     "cannot."
 )
 ABOUT_ERRORS = N_(
-    "How far off the vehicle is at each sensor, as a percentage of the signal there. Where nothing "
+    "How far off the model is at each sensor, as a percentage of the signal there. Where nothing "
     "is drawn, the healthy trips show no error. Where the error is large, a later trip counts less."
 )
 MEASURED, NOMINAL, FITTED = "0.7", "tab:orange", "tab:blue"
