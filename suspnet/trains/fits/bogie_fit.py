@@ -64,7 +64,7 @@ SENSITIVITY = {"k_p": 0.01, "c_p": 0.05, "k_s": 0.01, "c_s": 0.01}
 """Error of a part, as a fraction of the logarithm of the wear found, with an incomplete vehicle.
 Found on tests/rich_train.py with flexible modes, and with cross-axis and noise, seeds 0 and 1: own
 wear k_p .8 to 1.4, c_p 3.6 to 7.5, k_s .5 to 1, c_s .5 to 1.3 %, that of others half of it."""
-FURTHER_PARTS = (*("track", "cross_axis", "second_bending", "equipment", "body_torsion", "floors"),)
+FURTHER_PARTS = ("track", "cross_axis", "second_bending", "equipment", "body_torsion", "floors")
 """What a vehicle may be given that does not explain its healthy trips: a track that gives way,
 sensors that read a share of the lateral motion, flexible modes of its body and what hangs on it."""
 
