@@ -3,8 +3,8 @@
 There are five kinds of flags. `OODDetector` sets four: a peak is missing; the features lie outside
 the cloud of the training curves; a parameter lies outside the training range; the generator does
 not explain the curve with any parameters. `Unexplained` sets that of physics if the generator did
-not explain the healthy trips of its commissioning, `with_doubt` and `with_bogie_doubt` on every
-trip read with a vehicle, or a bogie, whose commissioning did not converge.
+not explain the healthy trips of its commissioning, `with_doubt` on every trip read with a vehicle,
+or a bogie, whose commissioning did not converge.
 
 Unexplained residual: with d_gf the logarithm of the response of group g of the healthy trips in bin
 f over that of the commissioned vehicle, and s_gf the standard deviation of its real and imaginary
@@ -146,14 +146,9 @@ BOGIE_NOT_CONVERGED = (
 """Flag of every trip of which each part is compared with such a bogie."""
 
 
-def with_doubt(flags: Flags, *, has_converged: bool) -> Flags:
+def with_doubt(flags: Flags, *, has_converged: bool, words: str = NOT_CONVERGED) -> Flags:
     """Return the flags of a trip, with the doubt about the healthy vehicle it is compared with."""
-    return flags if has_converged else flags.with_kind("physics", NOT_CONVERGED)
-
-
-def with_bogie_doubt(flags: Flags, *, has_converged: bool) -> Flags:
-    """Return the flags of a trip, with the doubt about the bogie that it is compared with."""
-    return flags if has_converged else flags.with_kind("physics", BOGIE_NOT_CONVERGED)
+    return flags if has_converged else flags.with_kind("physics", words)
 
 
 N_REFERENCE, N_NEIGHBOURS = 4096, 4

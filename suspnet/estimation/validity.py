@@ -13,6 +13,7 @@ import numpy as np
 from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.problem import Problem
 from suspnet.estimation.bogie_model import BogieModel
+from suspnet.estimation.commissioned_bogie import HealthyScatter
 from suspnet.estimation.relative_velocity import DampingByVelocity
 from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.estimation.trained import TrainedModel
@@ -183,16 +184,19 @@ def _check_bogie(model: BogieModel) -> None:
     ):
         raise ValueError("`bogie.errors` must be numbers >= 0, a row of all sensors for each bin")
     if bogie.scatter is not None:
-        for name in ("own", "alike"):
-            values = np.array(getattr(bogie.scatter, name), dtype=float)
-            _check_vector(f"bogie.scatter.{name}", values, len(PARAMETERS) - 1)
-            if not (values >= 0).all():
-                raise ValueError(f"`bogie.scatter.{name}` must not be negative")
-        noise = np.array(bogie.scatter.noise, dtype=float)
-        n = len(BOGIE_PARTS)
-        if noise.shape != (n, n) or not np.isfinite(noise).all():
-            raise ValueError(f"`bogie.scatter.noise` must be {n} x {n} finite numbers")
-        check_number("bogie.scatter.n_trips", bogie.scatter.n_trips, low=LEAST_TRIPS, whole=True)
+        _check_scatter(bogie.scatter)
+
+
+def _check_scatter(scatter: HealthyScatter) -> None:
+    for name in ("own", "alike"):
+        values = np.array(getattr(scatter, name), dtype=float)
+        _check_vector(f"bogie.scatter.{name}", values, len(PARAMETERS) - 1)
+        if not (values >= 0).all():
+            raise ValueError(f"`bogie.scatter.{name}` must not be negative")
+    noise, n = np.array(scatter.noise, dtype=float), len(BOGIE_PARTS)
+    if noise.shape != (n, n) or not np.isfinite(noise).all():
+        raise ValueError(f"`bogie.scatter.noise` must be {n} x {n} finite numbers")
+    check_number("bogie.scatter.n_trips", scatter.n_trips, low=LEAST_TRIPS, whole=True)
 
 
 def _check_training(training: Any) -> None:

@@ -320,3 +320,13 @@ class LogNormal:
     def ratios(self, standard: FloatArray) -> FloatArray:
         """Return numbers relative to nominal from standard normal ones, both (n_rows, n)."""
         return np.asarray(np.exp(np.array(self.mean) + standard @ self.factor.T) - self.offsets)
+
+    def moved(self, standard: FloatArray, covariance: FloatArray) -> LogNormal:
+        """Return the distribution of numbers whose standard normal ones (n,) have moved there.
+
+        `covariance` (n, n) is theirs.
+        """
+        logs = np.array(self.mean) + self.factor @ standard
+        spread = self.factor @ covariance @ self.factor.T
+        rows = tuple(map(tuple, ((spread + spread.T) / 2).tolist()))
+        return LogNormal(self.names, tuple(logs.tolist()), rows)

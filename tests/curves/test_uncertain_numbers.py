@@ -50,6 +50,21 @@ def problem(task):
 # reference
 
 
+def test_standard_numbers_that_moved_give_the_distribution_of_their_ratios():
+    """Logarithms of draws of the standard numbers have its mean and covariance."""
+    prior = narrow(1.0)
+    n, rng = len(prior.names), np.random.default_rng(0)
+    centre, root = rng.standard_normal(n), rng.standard_normal((n, n)) / n
+    moved = prior.moved(centre, root @ root.T)
+    draws = centre + rng.standard_normal((20000, n)) @ root.T
+    logs = np.log(prior.ratios(draws) + prior.offsets)
+    assert moved.names == prior.names
+    scatter = moved.deviations / math.sqrt(len(draws))
+    assert (np.abs(logs.mean(axis=0) - moved.mean) < 5 * scatter).all()
+    limit = 0.06 * np.outer(moved.deviations, moved.deviations)
+    assert (np.abs(np.cov(logs.T) - moved.covariance) < limit).all()
+
+
 def test_fit_is_that_of_scipy_on_every_number(problem):
     distribution = narrow(0.1)
     observer = observer_of(distribution)

@@ -56,7 +56,6 @@ from suspnet.trains.fits.bogie_search import (
 from suspnet.trains.fits.healthy_scatter import healthy_scatter
 from suspnet.trains.spectra.bogie_trip import BogieTrip, smallest_noise
 from suspnet.vehicle import SpatialVehicle
-from suspnet.vehicle.quantities import LogNormal
 
 EXPLAINED = 1.15
 """Misfit up to which a bogie is explained: plain trips of five minutes have up to 1.08."""
@@ -203,12 +202,7 @@ def commission_bogie(
     end = healthy_end(fit, further_parts).finished(NEARLY_EXPLAINED * EXPLAINED)
     fit, x, misfit, n, shared = end.fit, end.x, end.misfit, end.fit.n_numbers, end.fit.n_shared
     covariance = fit.covariance(x, max(1.0, misfit) ** 2)
-    prior = fit.numbers
-    factor = prior.factor
-    spread_of = factor @ covariance[:n, :n] @ factor.T
-    logs = np.array(prior.mean) + factor @ x[:n]
-    rows = tuple(map(tuple, ((spread_of + spread_of.T) / 2).tolist()))
-    posterior = LogNormal(prior.names, tuple(logs.tolist()), rows)
+    posterior = fit.numbers.moved(x[:n], covariance[:n, :n])
     return CommissionedBogie(
         replace(fit.generator, distribution=posterior),
         torch.stack([noise.densities for noise in fit.noise_at(x)]).mean(dim=0),

@@ -97,6 +97,7 @@ class HealthyMisfit:
             for group in groups
         ]
         self._thinned = [misfit.thinned() for misfit in self._groups]
+        # groups at the same speeds and direction share a call of the observer
         conditions = [(group.direction, group.speeds) for group in groups]
         self._alike = [
             [i for i, other in enumerate(conditions) if other == one]
@@ -198,11 +199,7 @@ class HealthyMisfit:
         prior = np.diag(self._prior_deviations() ** -2)
         information = slopes.T @ slopes / max(mean_square, 1.0) + prior
         spread: FloatArray = np.linalg.inv(information).astype(np.float64)
-        factor = self.every.factor.numpy()
-        covariance = factor @ spread[:n, :n] @ factor.T
-        logs = np.array(self.prior.mean) + factor @ x[:n]
-        rows = tuple(map(tuple, ((covariance + covariance.T) / 2).tolist()))
-        posterior = LogNormal(self.prior.names, tuple(logs.tolist()), rows)
+        posterior = self.prior.moved(x[:n], spread[:n, :n])
         own = slice(len(x) - self.n_of_damping, None)
         laws = self._of_damping.laws(x[own], spread[own, own])
         return posterior, laws, mean_square

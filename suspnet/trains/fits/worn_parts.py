@@ -106,6 +106,7 @@ def worn_parts(estimate: PartsEstimate) -> list[WornPart]:
             break
         worn.remove(least)
     found = []
+    # each worn part is named with those that would explain the trip nearly as well in its place
     for j in worn:
         rest = [i for i in worn if i != j]
         others = {

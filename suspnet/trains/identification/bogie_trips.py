@@ -15,7 +15,7 @@ from suspnet.curves.speeds import NoEstimateError
 from suspnet.curves.welch import Welch
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.estimate import Estimate
-from suspnet.estimation.flags import with_bogie_doubt
+from suspnet.estimation.flags import BOGIE_NOT_CONVERGED, with_doubt
 from suspnet.estimation.intervals import LARGEST_MISFIT
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.findings import Finding, at, together
@@ -228,7 +228,7 @@ def estimate_parts(
         check_order(bogie.generator, trip)
     parts = fit_parts(bogie, trip, settings.level)
     estimate = parts.as_estimate()
-    flags = with_bogie_doubt(estimate.flags, has_converged=bogie.converged)
+    flags = with_doubt(estimate.flags, has_converged=bogie.converged, words=BOGIE_NOT_CONVERGED)
     if not parts.converged:
         flags = flags.with_kind("misfit", "the search for the parts did not end within its steps")
     worn = ""

@@ -137,9 +137,9 @@ def numbers(outcome: Commissioned) -> list[Number]:
 def further_numbers(bogie: CommissionedBogie) -> list[Number]:
     """Return every number of the parts that the healthy trips showed the vehicle to need."""
     quantity_of = {q.name: q for q in bogie.generator.quantities if q.part in FURTHER_PARTS}
-    known = bogie.generator.distribution
-    assert known is not None
-    posterior = known.without([name for name in known.names if name not in quantity_of])
+    every = bogie.generator.distribution
+    assert every is not None
+    posterior = every.without([name for name in every.names if name not in quantity_of])
     prior = LogNormal.independent({n: quantity_of[n].deviation for n in posterior.names})
     nominal = {name: quantity.nominal or 1.0 for name, quantity in quantity_of.items()}
     return _numbers(prior, posterior, nominal, quantity_of)

@@ -256,7 +256,8 @@ def residuals(outcome: Commissioned) -> FloatArray:
 
 def responses(healthy: HealthyTrips, outcome: Commissioned, *, with_residuals: bool) -> Figure:
     """Draw measured, nominal and commissioned responses of a trip, and all residuals if asked."""
-    group = int(np.argmin(np.median(outcome.deviations, axis=(1, 2))))  # with the least noise
+    # one trip is drawn, that with the least noise: all of them would hide the band
+    group = int(np.argmin(np.median(outcome.deviations, axis=(1, 2))))
     measured = healthy.groups[group]
     frequencies_hz, of_groups = outcome.frequencies_hz, residuals(outcome)
     heights = (3, 2) if with_residuals else (3,)

@@ -128,6 +128,7 @@ def read_stamps(
     hour, minute, second = number("hour"), number("minute"), number("second")
     is_zoned = ~np.asarray(pc.equal(text("zone"), "").to_numpy(zero_copy_only=False))
     is_valid = np.asarray(matches.is_valid().to_numpy(zero_copy_only=False))
+    # a stamp that only looks alike, such as one without the zone of the others, is no time
     is_valid = is_valid & (is_zoned == notation.is_zoned)
     is_valid &= (hour < 24) & (minute < 60) & (second < 61)
     afternoon = matched("half", "pP")
