@@ -11,7 +11,6 @@ a line for each set: misfit, rms errors and coverage by kind of part, parts name
 import csv
 import tempfile
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -81,18 +80,13 @@ def read(name, seed, options, folder):
     later = range(options.healthy, len(trips))
     rows = []
     for i in later:
-        found = at_healthy_temperature(fit_parts(commissioned, trips[i]), commissioned, celsius[i])
+        found = fit_parts(commissioned, trips[i])
+        if commissioned.law is not None and celsius[i] is not None:
+            found = found.compared(commissioned.law, celsius[i])
         is_flagged = not (commissioned.converged and found.converged)  # as by estimate_parts
         row = head | {"trip": i} | row_of(found, ratios[i])
         rows.append(row | {"flagged": int(is_flagged), "is_done": int(found.converged)})
     return rows
-
-
-def at_healthy_temperature(found, bogie, temperature_c):
-    """Return the estimate with damping as at the temperature of the healthy trips."""
-    if bogie.law is None:
-        return found
-    return replace(found, values=bogie.law.compared(found.as_estimate(), temperature_c).values[0])
 
 
 def row_of(found, truth):
