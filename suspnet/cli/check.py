@@ -8,12 +8,11 @@ from pathlib import Path
 
 from suspnet.cli.config_files import own_vehicles
 from suspnet.cli.kinds import named_runs, vehicles_with
-from suspnet.cli.presets import N_HEALTHY
 from suspnet.cli.typed_words import listed
 from suspnet.curves.estimates import WIDE_SPEED_HALF_WIDTH
 from suspnet.curves.speeds import SpeedRange, covering, setting_words
 from suspnet.estimation.checkpoint import load_model
-from suspnet.estimation.trip_settings import LEAST_TRIPS
+from suspnet.estimation.trip_settings import LEAST_TRIPS, N_HEALTHY
 from suspnet.ground import ledger, progress
 from suspnet.ground.settings import check_number
 from suspnet.ground.storage import distinct, new_folder, printable

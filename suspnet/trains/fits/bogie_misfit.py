@@ -309,6 +309,23 @@ class BogieMisfit:
         """Return the fit with the noise of each trip for the vehicle at x."""
         return replace(self, noises=[noise.matrix for noise in self.noise_at(x)])
 
+    def as_expected(self, x: FloatArray) -> BogieMisfit:
+        """Return the fit with the spectra that trips of the vehicle at x have, and their noise.
+
+        The inputs are those that it explains the trips best with.
+        """
+        fit, trips = self.with_noise_at(x), []
+        for i, (trip, noise) in enumerate(zip(self.trips, fit.noises, strict=True)):
+            responses = self.responses(x, i, self.all_bins).permute(2, 1, 0)
+            # bins that are left out are as expected, too
+            inverse = torch.linalg.pinv(responses)
+            inputs = inverse @ (trip.spectra.values - noise) @ inverse.mH
+            power, vectors = torch.linalg.eigh(inputs)
+            inputs = vectors * power.clamp(min=0)[:, None] @ vectors.mH
+            values = responses @ inputs @ responses.mH + noise
+            trips.append(replace(trip, spectra=replace(trip.spectra, values=values)))
+        return replace(fit, trips=trips)
+
     def with_errors_at(self, x: FloatArray) -> BogieMisfit:
         """Return the fit with noise, and errors of the model that the trips show, at x."""
         fit = self.with_noise_at(x)
