@@ -42,6 +42,7 @@ from suspnet.trains.recordings.manifest_files import ManifestFile, partial_words
 from suspnet.trains.trips.commissionings import commissionings, eras, models_of, with_truth_of_each
 from suspnet.trains.trips.earlier import FinishedTrips, with_earlier
 from suspnet.trains.trips.grouping import Group, find_groups
+from suspnet.trains.trips.joint_verdicts import with_joint_verdicts
 from suspnet.trains.trips.trip import evaluate_trip, lost_trip
 
 log = logging.getLogger(__name__)
@@ -217,7 +218,7 @@ def _report(
     if store is not None:
         results = with_earlier(results, group.place, models, store)
         events = store.events(suspension.vehicle, group.place)
-    results = by_mileage(results)
+    results = with_joint_verdicts(by_mileage(results), models, settings.trips.level)
     series = replace(series_of(results, events), vehicle=suspension.vehicle)
     results = with_widened(results, events)
     used = commissionings(models, results)

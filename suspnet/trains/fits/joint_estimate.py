@@ -1,0 +1,61 @@
+"""Several trips of one fault as one estimate.
+
+Trip i gives the logarithms e_i of the parts with the covariance tau^2 (T_i + D) of
+`suspnet.trains.fits.bogie_fit`, where T_i = C_i + V. Of T_i, the fraction f = 1 / (n + 1) is due to
+the n healthy trips that all are relative to, the rest to the trip alone. The estimate of them ::
+
+    e = W^-1 sum_i T_i^-1 e_i,    W = sum_i T_i^-1,
+    covariance = tau^2 [(1 - f) W^-1 + f mean_i T_i + D(e)]
+
+Of T_i the intervals that a history keeps tell the diagonal; the correlations of C_i are those of
+the healthy trips' noise.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import norm
+
+from suspnet.estimation.commissioned_bogie import CommissionedBogie
+from suspnet.ground.parameters import BOGIE_PARTS
+from suspnet.ground.types import FloatArray
+from suspnet.trains.fits.bogie_fit import PartsEstimate, beyond_noise
+
+LEAST_NOISE = 0.1
+"""Least deviation by noise, of that of an interval: what else widens it is known to no more."""
+
+
+def joint_estimate(
+    bogie: CommissionedBogie, logs: FloatArray, half_widths: FloatArray, level: float
+) -> PartsEstimate:
+    """Return the estimate of ``BOGIE_PARTS`` of several trips together.
+
+    `logs` (n_trips, 12) and `half_widths` (n_trips, 12) are the logarithms of the ratios, and those
+    of the ends of their intervals of that level over them. ValueError if the scatter of the healthy
+    trips is not known.
+    """
+    if bogie.scatter is None:
+        raise ValueError("how the healthy trips scatter is not known")
+    noise = np.array(bogie.scatter.noise)
+    sizes = np.sqrt(np.diag(noise))
+    correlation = noise / sizes[:, None] / sizes
+    tau = bogie.scatter.student(level)
+    deviations = half_widths / norm.ppf((1 + level) / 2) / tau
+    scatter = bogie.scatter.covariance
+    totals = []
+    for of_trip, deviation in zip(logs, deviations, strict=True):
+        variance = deviation**2 - np.diag(_beyond(bogie, of_trip))
+        own = np.sqrt(np.maximum(variance, (LEAST_NOISE * deviation) ** 2))
+        totals.append(own[:, None] * correlation * own + scatter)
+    weights = np.linalg.inv(totals)
+    whole = np.linalg.inv(weights.sum(axis=0))
+    joint = whole @ np.einsum("tij,tj->i", weights, logs)
+    shared = 1 / (bogie.scatter.n_trips + 1)
+    wear = _beyond(bogie, joint) - scatter
+    covariance = tau**2 * ((1 - shared) * whole + shared * np.mean(totals, axis=0) + wear)
+    return PartsEstimate(np.exp(joint), covariance, 1.0, True, level, BOGIE_PARTS)
+
+
+def _beyond(bogie: CommissionedBogie, logs: FloatArray) -> FloatArray:
+    """Return V + D of the parts, (12, 12)."""
+    return beyond_noise(bogie, np.append(logs, 0.0))[:-1, :-1]
