@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass, field, fields
 from typing import Annotated, Any
 
 import numpy as np
@@ -127,6 +127,23 @@ class Rig:
         """Limits of each of k_p, c_p, k_s and c_s that has any."""
         limits = read_limits(self.limits or {}, DEFAULT_LIMITS, f"the file of rig {self.name}")
         return {name: limits[name] for name in PARAMETERS if name in limits}
+
+
+def stated_rig(**numbers: Any) -> Rig:
+    """Return the rig of a vehicle's file: by its frequencies, or by the numbers of a vehicle.
+
+    ValueError if a number is unknown or missing.
+    """
+    class_: type[Rig] | type[Vehicle] = Rig
+    if any(name.endswith(("_n_per_m", "_ns_per_m")) for name in numbers):
+        class_ = Vehicle
+    known = {field.name: field for field in fields(class_)}
+    if unknown := sorted(set(numbers) - set(known)):
+        raise ValueError(f"`vehicle.{unknown[0]}` is no number of a rig: {', '.join(known)}")
+    is_needed = (n for n, f in known.items() if f.default is MISSING and n not in numbers)
+    if missing := list(is_needed):
+        raise ValueError(f"`vehicle.{missing[0]}` is missing")
+    return Rig.of(Vehicle(**numbers)) if class_ is Vehicle else Rig(**numbers)
 
 
 def modes_hz(logs: FloatArray) -> tuple[float, float]:
