@@ -1,7 +1,7 @@
 """A rig as its healthy records show it, and later records relative to it.
 
 Each record is read on its own, so that a later one differs from the mean of n healthy ones by d,
-logarithms of ratios to healthy. The variance of a direction a of d, such as that of k_s / M_s, is ::
+logarithms of ratios to healthy. The variance of a direction a of d, such as k_s / M_s, is ::
 
     V(a) = v(a) + s(a)^2,    v(a) = max(a^T C a, sum_b (a^T d_b)^2)
 
@@ -77,6 +77,14 @@ class RigReading(ShortRepr):
     misfit: float
     bare_misfit: float
     converged: bool
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The numbers of ``ABSOLUTE``."""
+        return {
+            name: factor * math.exp(float(np.dot(direction, self.logs)))
+            for name, (direction, factor) in ABSOLUTE.items()
+        }
 
     def hides(self) -> tuple[str, ...]:
         """Return which of k_p and k_s the record does not show."""
@@ -154,7 +162,7 @@ class CommissionedRig(ShortRepr):
     @cached_property
     def logs(self) -> FloatArray:
         """Mean of the healthy records' logarithms, (5,)."""
-        return np.mean([reading.logs for reading in self.readings], axis=0)
+        return np.asarray(np.mean([reading.logs for reading in self.readings], axis=0))
 
     @property
     def misfit(self) -> float:
@@ -177,7 +185,7 @@ class CommissionedRig(ShortRepr):
 
     @cached_property
     def error(self) -> float:
-        """The fraction of its signals that the rig's physics errs by, median over frequency, [-]."""
+        """Fraction of the signals that the physics errs by, median over frequency, [-]."""
         return float(np.median([np.sqrt(np.mean(r.errors**2, axis=1)) for r in self.readings]))
 
     def half_width(self, direction: Sequence[float], variance: float, level: float) -> float:
@@ -234,7 +242,7 @@ class CommissionedRig(ShortRepr):
 
 
 def _mean_influence(readings: Sequence[RigReading]) -> FloatArray:
-    return np.mean([reading.influences for reading in readings], axis=0)
+    return np.asarray(np.mean([reading.influences for reading in readings], axis=0))
 
 
 def _change(
@@ -244,13 +252,11 @@ def _change(
     change = reading.logs - np.mean([other.logs for other in healthy], axis=0)
     covariance = reading.covariance + sum(other.covariance for other in healthy) / len(healthy) ** 2
     influence = (reading.influences - _mean_influence(healthy)) @ direction
-    variance = max(direction @ covariance @ direction, float(influence @ influence))
+    variance = max(float(direction @ covariance @ direction), float(influence @ influence))
     return float(direction @ change), variance
 
 
-def _severity(
-    ratio: Value, notice: tuple[float, float], act: tuple[float, float]
-) -> Severity:
+def _severity(ratio: Value, notice: tuple[float, float], act: tuple[float, float]) -> Severity:
     """Return how urgent a ratio is: beyond a limit only if its interval is wholly beyond it."""
     for severity, (low, high) in ((Severity.ACT, act), (Severity.NOTICE, notice)):
         if ratio.high < low or ratio.low > high:

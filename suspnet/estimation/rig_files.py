@@ -68,7 +68,9 @@ def load_rig(folder: Path | str) -> CommissionedRig:
     """
     path = Path(folder) / DESCRIPTION
     if not path.is_file():
-        raise FileNotFoundError(f"{folder} holds no {DESCRIPTION}; is it the folder of a rig's run?")
+        raise FileNotFoundError(
+            f"{folder} holds no {DESCRIPTION}; is it the folder of a rig's run?"
+        )
     try:
         content = read_json(path)
         _check_description(path, content)
@@ -120,5 +122,7 @@ def _checked(content: dict[str, Any], arrays: dict[str, FloatArray]) -> Commissi
     readings = tuple(
         RigReading(*row, **{name: scalars[name] for name in SCALARS}) for *row, scalars in rows
     )
-    band = (content[name] for name in BAND)
-    return CommissionedRig(Rig(**content["rig"]), *band, tuple(content["records"]), readings)
+    band = {name: content[name] for name in BAND}
+    return CommissionedRig(
+        Rig(**content["rig"]), records=tuple(content["records"]), readings=readings, **band
+    )

@@ -44,12 +44,16 @@ class Rig:
     [1.36, 11.66]
     """
 
-    name: Annotated[str, Setting("Name of the rig, which manifests state as `vehicle`", rule="text")]
+    name: Annotated[
+        str, Setting("Name of the rig, which manifests state as `vehicle`", rule="text")
+    ]
     primary_hz: Annotated[
-        float, Setting("Frequency of the frame on its spring alone, sqrt(k_p / M_p) / 2π", "Hz", above=0)
+        float,
+        Setting("Frequency of the frame on its spring alone, sqrt(k_p / M_p) / 2π", "Hz", above=0),
     ]
     secondary_hz: Annotated[
-        float, Setting("Frequency of the body on its spring alone, sqrt(k_s / M_s) / 2π", "Hz", above=0)
+        float,
+        Setting("Frequency of the body on its spring alone, sqrt(k_s / M_s) / 2π", "Hz", above=0),
     ]
     mass_ratio: float = setting(1.0, "Mass of the body over that of the frame, M_s / M_p", above=0)
     primary_damping: float = setting(

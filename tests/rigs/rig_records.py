@@ -37,7 +37,7 @@ def record(numbers, rate_hz, seconds, seed, *, noise=0.003, base=None, start=Tru
         low_pass = butter(8, 0.45 * rate_hz, fs=OVERSAMPLING * rate_hz, output="sos")
         base = sosfilt(low_pass, rng.standard_normal(fine)) * np.sqrt(OVERSAMPLING)
     times = np.arange(len(base)) / (OVERSAMPLING * rate_hz)
-    signals = lsim(chain(*numbers), base, times)[1].T[:, :: OVERSAMPLING][:, before:]
+    signals = lsim(chain(*numbers), base, times)[1].T[:, ::OVERSAMPLING][:, before:]
     return signals + noise * signals[0].std() * rng.standard_normal(signals.shape)
 
 

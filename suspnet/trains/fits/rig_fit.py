@@ -24,6 +24,7 @@ the numbers move without the band (q = 1, the jackknife): its errors may be larg
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -91,7 +92,7 @@ class RigMisfit:
         """Return the residuals, (n_freq * 4,), those of a bin next to each other."""
         residuals = self.white(logs, self.errors)[0]
         factor = np.sqrt(2 / Welch().correlated_bins)
-        return factor * np.ascontiguousarray(residuals).view(float).ravel()
+        return np.asarray(factor * np.ascontiguousarray(residuals).view(float).ravel())
 
     def rms(self, logs: FloatArray) -> float:
         """Return the rms residual over that of noise and errors."""
@@ -155,6 +156,17 @@ def fit_rig(rig: Rig, spectra: RigSpectra) -> RigReading:
         bare_misfit,
         bool(end.success),
     )
+
+
+def rough_misfits(rig: Rig, spectra: RigSpectra, orders: Sequence[Sequence[int]]) -> list[float]:
+    """Return the rms residual with the sensors in other orders, large errors being allowed."""
+    misfits = []
+    for order in orders:
+        sensors = list(order)
+        other = replace(spectra, taps=spectra.taps[:, :, sensors], noise=spectra.noise[sensors])
+        rough = RigMisfit(other, np.full((len(spectra.frequencies_hz), len(TAPS)), ROUGH))
+        misfits.append(rough.rms(_search(rough, rig, rig.logs).x))
+    return misfits
 
 
 def _starts(rig: Rig) -> list[FloatArray]:

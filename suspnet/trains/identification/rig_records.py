@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground.records import INTERVAL_LEVEL
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.ground.wording import ShortRepr
-from suspnet.trains.fits.rig_fit import fit_rig
+from suspnet.trains.fits.rig_fit import fit_rig, rough_misfits
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.manifest import (
     CHANNELS,
@@ -33,6 +34,9 @@ from suspnet.vehicle.rig import Rig
 CYCLES = 40.0
 """Length of a segment in periods of the rig's first mode: errors of the physics are resolved, and
 a minute has enough segments of a mode at 5 Hz."""
+FAR_BETTER = 0.5
+"""Misfit of sensors in another order, over that of the stated one, from which they are exchanged.
+A rig of two masses in the wrong order leaves far more."""
 NAMES = {"k_p": "base and frame", "k_s": "frame and body"}
 """What a suspension lies between."""
 LITTLE_HZ = 1e-3
@@ -63,11 +67,12 @@ class RigRecord(ShortRepr):
             )
         if not np.isfinite(signals).all():
             raise ValueError(f"`signals` of {self.name} hold NaN or infinite values")
-        constant = [name for name, row in zip(RIG_CHANNELS, signals, strict=True) if not np.ptp(row)]
+        constant = [
+            name for name, row in zip(RIG_CHANNELS, signals, strict=True) if not np.ptp(row)
+        ]
         if constant:
             raise ValueError(f"{self.name}: {', '.join(constant)} is constant: is a sensor dead?")
         object.__setattr__(self, "signals", signals)
-
 
 
 def load_record(path: Path | str) -> RigRecord:
@@ -102,6 +107,35 @@ def _rate_hz(manifest: TripManifest) -> float:
     return float(f"{min(rates):.6g}")
 
 
+def reading_of(rig: Rig, records: Sequence[RigRecord]) -> tuple[float, tuple[float, float]]:
+    """Return length of segments [s] and band [Hz] in which records of a rig are read.
+
+    NoEstimateError if one is sampled too slowly.
+    """
+    low_hz, high_hz = rig.band_hz
+    high_hz = min(high_hz, *(PASS * record.rate_hz for record in records))
+    if high_hz < rig.modes_hz[0]:
+        raise NoEstimateError(
+            f"the records show frequencies up to {high_hz:.3g} Hz, a quarter of their rate; the "
+            f"first mode of the rig {rig.name} is expected at {rig.modes_hz[0]:.3g} Hz"
+        )
+    return CYCLES / rig.modes_hz[0], (low_hz, high_hz)
+
+
+def exchanged(rig: Rig, record: RigRecord) -> str:
+    """Return in which order a record's sensors explain it far better; empty for the one stated.
+
+    NoEstimateError if it is too short.
+    """
+    segment_s, band_hz = reading_of(rig, [record])
+    spectra = RigSpectra.of(record.signals, record.rate_hz, segment_s, band_hz, record.usable)
+    orders = list(permutations(range(3)))
+    stated, *others = rough_misfits(rig, spectra, orders)
+    if min(others) > FAR_BETTER * stated:
+        return ""
+    return ", ".join(RIG_CHANNELS[i] for i in orders[1 + int(np.argmin(others))])
+
+
 def commission_rig(rig: Rig, records: Sequence[RigRecord]) -> CommissionedRig:
     """Return a rig as its healthy records show it.
 
@@ -123,17 +157,10 @@ def commission_rig(rig: Rig, records: Sequence[RigRecord]) -> CommissionedRig:
         raise ValueError(
             f"{len(records)} healthy records are given, at least {LEAST_TRIPS} are needed"
         )
-    low_hz, high_hz = rig.band_hz
-    high_hz = min(high_hz, *(PASS * record.rate_hz for record in records))
-    if high_hz < rig.modes_hz[0]:
-        raise NoEstimateError(
-            f"the records show frequencies up to {high_hz:.3g} Hz, a quarter of their rate; the "
-            f"first mode of the rig {rig.name} is expected at {rig.modes_hz[0]:.3g} Hz"
-        )
-    segment_s = CYCLES / rig.modes_hz[0]
-    readings = [read_record(rig, record, segment_s, (low_hz, high_hz)) for record in records]
+    segment_s, band_hz = reading_of(rig, records)
+    readings = [read_record(rig, record, segment_s, band_hz) for record in records]
     names = tuple(record.name for record in records)
-    return CommissionedRig(rig, segment_s, low_hz, high_hz, names, tuple(readings))
+    return CommissionedRig(rig, segment_s, *band_hz, names, tuple(readings))
 
 
 def read_record(
@@ -153,15 +180,14 @@ def read_record(
             f"{NAMES[name]} (coherence {coherences[name]:.2f})" for name in hidden
         )
         raise NoEstimateError(
-            f"{record.name} does not show {' and '.join(hidden)} in the motion of {between}: excite "
-            "the rig more strongly, over more frequencies or for longer, and look at the sensors"
+            f"{record.name} does not show {' and '.join(hidden)} in the motion of {between}: "
+            "excite the rig more strongly, over more frequencies or for longer, and look at the "
+            "sensors"
         )
     return reading
 
 
-def read_rig(
-    rig: CommissionedRig, record: RigRecord, level: float = INTERVAL_LEVEL
-) -> RigEstimate:
+def read_rig(rig: CommissionedRig, record: RigRecord, level: float = INTERVAL_LEVEL) -> RigEstimate:
     """Return a later record relative to the healthy ones; NoEstimateError if it shows no rig."""
     reading = read_record(rig.rig, record, rig.segment_s, (rig.low_hz, rig.high_hz))
     return rig.estimate(reading, level)

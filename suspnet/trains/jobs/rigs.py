@@ -104,7 +104,8 @@ def records_of(folder: Path, rig: str) -> list[RecordManifest]:
 
     TripError with all problems if one is wrong or of another rig.
     """
-    manifests, problems = [], []
+    manifests: list[RecordManifest] = []
+    problems: list[str] = []
     for path in find_manifests(folder):
         try:
             manifests.append(_of_rig(path, rig))
@@ -268,4 +269,3 @@ def _percent(ratio: Value) -> str:
         return NOT_SHOWN
     value, low, high = (f"{100 * end:.3g}" for end in (ratio.value, ratio.low, ratio.high))
     return f"{value} ({low} to {high})"
-

@@ -162,9 +162,9 @@ def load_recording(manifest: TripManifest, rate_hz: float = 100.0) -> Recording:
     Signals are flat within 1e-4 up to a quarter of `rate_hz`.
 
     Raises TripError if a file cannot be read, a rate is lower than `rate_hz`, too many sensors are
-    constant or have no usable sample, less than the manifest's ``shortest_s`` is common to all sensors, times are
-    wrong, or the speed is unknown throughout; its `problems` are those of all sensors and the
-    speed. ValueError if `rate_hz` is not positive and finite.
+    constant or have no usable sample, less than the manifest's ``shortest_s`` is common to all
+    sensors, times are wrong, or the speed is unknown throughout; its `problems` are those of all
+    sensors and the speed. ValueError if `rate_hz` is not positive and finite.
     """
     check_number("rate_hz", rate_hz, above=0)
     sensors = manifest.sensors()

@@ -75,7 +75,7 @@ class Explained:
 def equations_of(
     target: Tensor, noise: Tensor, patterns: Tensor, p: int = 1
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return complex matrices (..., n, n) as `Explained.rest` does; `noise` is that of one input."""
+    """Return complex matrices (..., n, n) as `Explained.rest` does; `noise`: of one input."""
     power = noise.diagonal(dim1=-2, dim2=-1).real
     # a diagonal element is real and scatters as much as both parts of another one
     parts = (1 + torch.eye(power.shape[1], dtype=power.dtype)) / 2

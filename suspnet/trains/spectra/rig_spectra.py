@@ -99,7 +99,7 @@ class RigSpectra:
     @property
     def powers(self) -> FloatArray:
         """Squares of the signals with Hann's window, (n_freq, 3), n_averages times densities."""
-        return np.abs(np.einsum("m,fms->fs", TAPS, self.taps)) ** 2
+        return np.asarray(np.abs(np.einsum("m,fms->fs", TAPS, self.taps)) ** 2)
 
 
 def _noise(matrix: ComplexArray, n_averages: float) -> FloatArray:
@@ -107,7 +107,7 @@ def _noise(matrix: ComplexArray, n_averages: float) -> FloatArray:
     inverse = np.linalg.inv(matrix).diagonal(axis1=1, axis2=2).real
     # two other sensors explain as much of two averages
     unexplained = n_averages / (n_averages - 2) / inverse
-    return np.quantile(unexplained, NOISE_QUANTILE, axis=0)
+    return np.asarray(np.quantile(unexplained, NOISE_QUANTILE, axis=0))
 
 
 def _coherences(matrix: ComplexArray) -> FloatArray:

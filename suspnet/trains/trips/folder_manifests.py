@@ -21,7 +21,7 @@ from suspnet.ground.wording import command
 from suspnet.trains.recordings.columns import size_of
 from suspnet.trains.recordings.errors import all_of
 from suspnet.trains.recordings.formats import READERS
-from suspnet.trains.recordings.manifest import CHANNELS, FORMAT
+from suspnet.trains.recordings.manifest import CHANNELS, FORMAT, RIG_CHANNELS
 from suspnet.trains.recordings.manifest_sources import MIDDLE, UNITS
 from suspnet.trains.trips.file_contents import (
     ACCELERATION,
@@ -417,6 +417,8 @@ def how_to_say(key: str) -> str:
     """Return how a missing value is said."""
     if key in HOW:
         return HOW[key]
+    if key.removeprefix("channels.") in RIG_CHANNELS[:2]:
+        return f"{key}=COLUMN"
     pair = "LEFT,RIGHT for a pair"
     if not key.endswith(CHANNELS[2]):
         pair += f", or LEFT,RIGHT,LEFT{OTHER},RIGHT{OTHER} with those of the bogie's other axle"
