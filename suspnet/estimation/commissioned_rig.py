@@ -21,8 +21,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.stats import t
@@ -123,6 +124,21 @@ class RigEstimate(ShortRepr):
     level: float
     misfit: float
     bare_misfit: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the estimate as JSON-able values."""
+        return {
+            "ratios": {name: asdict(value) for name, value in self.ratios.items()},
+            "values": {name: asdict(value) for name, value in self.values.items()},
+            "severities": {name: str(severity) for name, severity in self.severities.items()},
+            "level": self.level,
+            "misfit": self.bare_misfit,
+        }
+
+    def __repr__(self) -> str:
+        return ", ".join(
+            f"{name} {v.value:.3g} ({v.low:.3g} to {v.high:.3g})" for name, v in self.ratios.items()
+        )
 
     @property
     def severity(self) -> Severity:

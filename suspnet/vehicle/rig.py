@@ -41,7 +41,7 @@ class Rig:
     --------
     >>> rig = Rig("bench", primary_hz=11.0, secondary_hz=1.4, mass_ratio=7.0)
     >>> [round(frequency, 2) for frequency in rig.modes_hz]
-    [1.36, 11.66]
+    [1.33, 11.62]
     """
 
     name: Annotated[

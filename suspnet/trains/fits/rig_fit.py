@@ -45,6 +45,8 @@ FACTORS = (0.5, 1.0, 2.0)
 """Factors on either frequency of the rig at which searches start: other valleys lie in between."""
 ROUGH = 0.3
 """Error of the physics that the first searches allow for, a fraction of each signal."""
+ROUGH_TOL, TOL = 1e-4, 1e-8
+"""Relative decreases of the cost that end a search, and the last one."""
 ROUNDS = 4
 """Rounds in which errors of the physics are learnt."""
 KNOTS = 24
@@ -94,10 +96,32 @@ class RigMisfit:
         factor = np.sqrt(2 / Welch().correlated_bins)
         return np.asarray(factor * np.ascontiguousarray(residuals).view(float).ravel())
 
+    def jacobian(self, logs: FloatArray) -> FloatArray:
+        """Return the derivatives of the residuals, (n_freq * 4, 5).
+
+        With Q = L L^*, M_j = L^-1 dQ/dx_j L^-* and Phi(M) its lower triangle, half of the diagonal
+        in it, dr/dx_j = L^-1 de/dx_j - Phi(M_j) r.
+        """
+        rows = equations(logs, self._patterns)
+        noise = np.tile(self.spectra.noise + self.errors**2 * self.spectra.powers, len(TAPS))
+        noisy = (rows * noise[:, None]).conj().transpose(0, 2, 1)
+        root = np.linalg.inv(np.linalg.cholesky(rows @ noisy))
+        residuals = (root @ equations(logs, self._moved)[:, :, None])[..., 0]
+        numbers = np.exp(logs)
+        columns = []
+        for number, of, moved in zip(numbers, self._patterns[1:], self._moved[1:], strict=True):
+            half = root @ (number * of @ noisy) @ root.conj().transpose(0, 2, 1)
+            change = half + half.conj().transpose(0, 2, 1)
+            lower = np.tril(change) - np.eye(2) * change / 2
+            slope = root @ (number * moved)[:, :, None] - lower @ residuals[:, :, None]
+            columns.append(np.ascontiguousarray(slope[..., 0]).view(float).ravel())
+        return np.asarray(np.sqrt(2 / Welch().correlated_bins) * np.stack(columns, axis=1))
+
     def rms(self, logs: FloatArray) -> float:
-        """Return the rms residual over that of noise and errors."""
+        """Return the rms residual over that of noise and errors; 1 without any signal."""
         residuals = self.white(logs, self.errors)[0]
-        return float(np.sqrt(np.mean(np.abs(residuals) ** 2)))
+        expected = 2 * float(np.sum(self.spectra.shares**2))
+        return float(np.sqrt(np.sum(np.abs(residuals) ** 2) / expected)) if expected else 1.0
 
 
 @dataclass(frozen=True)
@@ -142,15 +166,23 @@ def fit_rig(rig: Rig, spectra: RigSpectra) -> RigReading:
     for _ in range(ROUNDS):
         errors = model_errors(hz, [Explained(fit, x)], errors, len(TAPS), knots_hz)
         fit = RigMisfit(spectra, errors.numpy())
-        end = _search(fit, rig, x)
-        x = end.x
+        x = _search(fit, rig, x).x
+    end = _search(fit, rig, x, TOL)
+    x = end.x
     jacobian, residuals = end.jac[: -len(x)], end.fun[: -len(x)]
-    covariance = np.linalg.inv(end.jac.T @ end.jac)
     misfit, bare_misfit = fit.rms(x), RigMisfit(spectra, nothing).rms(x)
+    # noise that is estimated too large has a misfit below 1
+    prior = np.diag(1 / np.square(DEVIATIONS))
+    covariance = np.linalg.inv(jacobian.T @ jacobian / misfit**2 + prior)
     return RigReading(
         x,
-        max(1.0, misfit) ** 2 * covariance,
-        _influences(covariance, jacobian, residuals, 1 - 0.5 / max(1.0, bare_misfit) ** 2),
+        covariance,
+        _influences(
+            np.linalg.inv(jacobian.T @ jacobian + prior),
+            jacobian,
+            residuals,
+            1 - 0.5 / max(1.0, bare_misfit) ** 2,
+        ),
         fit.errors,
         misfit,
         bare_misfit,
@@ -178,11 +210,14 @@ def _starts(rig: Rig) -> list[FloatArray]:
     ]
 
 
-def _search(fit: RigMisfit, rig: Rig, start: FloatArray) -> OptimizeResult:
+def _search(fit: RigMisfit, rig: Rig, start: FloatArray, tol: float = ROUGH_TOL) -> OptimizeResult:
     """Return the minimum of the residuals and those of the prior near a start."""
     prior = rig.logs
     return least_squares(
-        lambda logs: np.concatenate([fit(logs), (logs - prior) / DEVIATIONS]), start
+        lambda logs: np.concatenate([fit(logs), (logs - prior) / DEVIATIONS]),
+        start,
+        lambda logs: np.concatenate([fit.jacobian(logs), np.diag(1 / np.array(DEVIATIONS))]),
+        ftol=tol,
     )
 
 

@@ -31,9 +31,9 @@ from suspnet.trains.recordings.sources import open_source
 from suspnet.trains.spectra.rig_spectra import RigSpectra
 from suspnet.vehicle.rig import Rig
 
-CYCLES = 40.0
-"""Length of a segment in periods of the rig's first mode: errors of the physics are resolved, and
-a minute has enough segments of a mode at 5 Hz."""
+CYCLES, LEAST_CYCLES, SHARE = 40.0, 5.0, 0.125
+"""Length of a segment in periods of the rig's first mode, whose peak may be narrower than a bin,
+or of less if that is more than this share of the shortest healthy record."""
 FAR_BETTER = 0.5
 """Misfit of sensors in another order, over that of the stated one, from which they are exchanged.
 A rig of two masses in the wrong order leaves far more."""
@@ -110,7 +110,7 @@ def _rate_hz(manifest: TripManifest) -> float:
 def reading_of(rig: Rig, records: Sequence[RigRecord]) -> tuple[float, tuple[float, float]]:
     """Return length of segments [s] and band [Hz] in which records of a rig are read.
 
-    NoEstimateError if one is sampled too slowly.
+    NoEstimateError if one is sampled too slowly, or too short.
     """
     low_hz, high_hz = rig.band_hz
     high_hz = min(high_hz, *(PASS * record.rate_hz for record in records))
@@ -119,7 +119,14 @@ def reading_of(rig: Rig, records: Sequence[RigRecord]) -> tuple[float, tuple[flo
             f"the records show frequencies up to {high_hz:.3g} Hz, a quarter of their rate; the "
             f"first mode of the rig {rig.name} is expected at {rig.modes_hz[0]:.3g} Hz"
         )
-    return CYCLES / rig.modes_hz[0], (low_hz, high_hz)
+    shortest_s = min(record.signals.shape[1] / record.rate_hz for record in records)
+    if SHARE * shortest_s * rig.modes_hz[0] < LEAST_CYCLES:
+        raise NoEstimateError(
+            f"a record of {shortest_s:.3g} s is too short for the first mode of the rig "
+            f"{rig.name} at {rig.modes_hz[0]:.3g} Hz: it needs "
+            f"{LEAST_CYCLES / SHARE / rig.modes_hz[0]:.3g} s"
+        )
+    return min(CYCLES / rig.modes_hz[0], SHARE * shortest_s), (low_hz, high_hz)
 
 
 def exchanged(rig: Rig, record: RigRecord) -> str:

@@ -62,8 +62,8 @@ class CheckSettings:
     """How trips are checked.
 
     `vehicles` and `rigs` are known ones by the names that manifests use; `pictures` is the folder
-    of the pictures (None: no pictures). A trip is ready if `models` read it, or, without models, if a
-    model of its speed would.
+    of the pictures (None: no pictures). A trip is ready if `models` read it, or, without models, if
+    a model of its speed would.
     """
 
     vehicles: Mapping[str, Vehicle]

@@ -10,8 +10,9 @@ may thus be as narrow as it likes, and the record may start in the middle of a v
 
 The base moves the rig alone: in each bin the segments' signals are of one direction. With N the
 sensors' noise and y_k = sum_m c_m x_m of segment k, u are the weights of the segments that make
-N^-1/2 sum_k u_k y_k the largest, lambda its square over that of noise. Those weights add up the
-x_m, too, in which the equations still hold; (1 - 1 / lambda) takes bins without power out.
+N^-1/2 sum_k u_k y_k the largest, lambda its square over that of a sensor's noise. Those weights
+add up the x_m, too, in which the equations still hold. The factor 1 - lambda_0 / lambda takes bins
+without power out: lambda_0 = (1 + sqrt(3 / n))^2 is the largest of noise alone, of n averages.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from scipy.stats import gamma
 
 from suspnet.curves.speeds import NoEstimateError
 from suspnet.curves.welch import Welch, segment_spectra
@@ -38,12 +40,14 @@ class RigSpectra:
     """The signals of a rig's base, frame and body by frequency.
 
     `taps` (n_freq, 3, 3) are the x_m by m and sensor [m/s2 / sqrt(Hz)], summed over the segments
-    with the weights of the module's docstring; `noise` (3,) is the density of the sensors' noise
-    [(m/s2)^2/Hz], `coherences` (2, n_freq) those of base and frame, and of frame and body.
+    with the weights of the module's docstring, and `shares` (n_freq,) their factor, from 0 to 1.
+    `noise` (3,) is the density of the sensors' noise [(m/s2)^2/Hz], `coherences` (2, n_freq) are
+    those of base and frame, and of frame and body.
     """
 
     frequencies_hz: FloatArray
     taps: ComplexArray
+    shares: FloatArray
     noise: FloatArray
     coherences: FloatArray
     segment_s: float
@@ -86,11 +90,13 @@ class RigSpectra:
         _, power, weights = np.linalg.svd(hann / np.sqrt(noise)[:, None], full_matrices=False)
         # as many independent segments as overlapping ones are worth
         scale = np.sqrt(n_averages / hann.shape[2])
-        above = np.maximum(0.0, 1 - hann.shape[2] / power[:, 0] ** 2)
+        largest = hann.shape[2] * (1 + np.sqrt(3 / n_averages)) ** 2
+        above = np.maximum(0.0, 1 - largest / power[:, 0] ** 2)
         taps = np.einsum("fmsk,fk->fms", parts, weights[:, 0].conj())
         return cls(
             every_hz[bins],
             scale * above[:, None, None] * taps,
+            above,
             noise,
             _coherences(matrix),
             segment_s,
@@ -105,9 +111,9 @@ class RigSpectra:
 def _noise(matrix: ComplexArray, n_averages: float) -> FloatArray:
     """Return the density of each sensor's noise, (3,)."""
     inverse = np.linalg.inv(matrix).diagonal(axis1=1, axis2=2).real
-    # two other sensors explain as much of two averages
-    unexplained = n_averages / (n_averages - 2) / inverse
-    return np.asarray(np.quantile(unexplained, NOISE_QUANTILE, axis=0))
+    # noise alone has that quantile: two other sensors explain as much as two averages
+    expected = gamma.ppf(NOISE_QUANTILE, n_averages - 2) / n_averages
+    return np.asarray(np.quantile(1 / inverse, NOISE_QUANTILE, axis=0) / expected)
 
 
 def _coherences(matrix: ComplexArray) -> FloatArray:
