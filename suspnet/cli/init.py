@@ -69,7 +69,10 @@ def _write(paths: Sequence[Path], settings: Sequence[str], arguments: Namespace)
     try:
         trips = folders.folder_manifests(trip_files, folder, keys, rows, vehicles)
     except ValueError as error:
-        raise (ValueError(rig_words(str(error))) if is_rig else error) from error
+        if not is_rig or isinstance(error, TripError):
+            raise
+        words = str(error).replace(folders.OF_OTHER_AXLE, "").replace("one or two", "one")
+        raise ValueError(rig_words(words)) from error
     if is_rig:
         trips = [as_record(trip) for trip in trips]
     noun = "record" if is_rig else "trip"

@@ -1,18 +1,25 @@
 """The programs on a rig: from files to a verdict, and wrong input in one line."""
 
 import csv
+import importlib
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_runner import typed
+from cli_runner import typed as typed_in
 from rig_records import numbers, record
 
 TRUE = numbers(20.0, 25.0, 0.8, 0.01, 0.02)
 WORN = np.array([0.7, 1.0, 1.0, 1.0, 1.0])
 FILE = "kind: rig\nname: bench\nprimary_hz: 26\nsecondary_hz: 18\nbogie_mass_kg: 2\n"
-CHANNELS = ("channels.base=a0", "channels.frame=a1", "channels.body=a2")
+CHANNELS = ("channels.base=a0 [m/s2]", "channels.frame=a1 [m/s2]", "channels.body=a2 [m/s2]")
+
+
+def typed(*words):
+    """Run a program as if typed in the current folder."""
+    name, *arguments = words
+    return typed_in(importlib.import_module(f"suspnet.cli.{name}"), *arguments, cwd=Path())
 
 
 def write(folder, true, seeds):
@@ -44,7 +51,7 @@ def test_from_files_to_a_verdict(folder):
     for name in ("healthy", "later"):
         written = typed("init", name, "vehicle=bench", *CHANNELS)
         assert written.returncode == 0, written.stdout + written.stderr
-    checked = typed("check", "healthy", "--config-dir", "rigs", "--workers", "1", "--no-pictures")
+    checked = typed("check", "healthy", "--config-dir", "rigs", "--no-pictures")
     assert checked.returncode == 0, checked.stdout
     assert "3 of 3 trips ready" in checked.stdout
     assert "frame alone at 20 Hz, body alone at 25 Hz" in checked.stdout
@@ -99,9 +106,9 @@ def one_line(ended):
 
 def test_exchanged_sensors_are_named(folder):
     write(folder / "healthy", TRUE, [0])
-    swapped = ("channels.base=a0", "channels.frame=a2", "channels.body=a1")
+    swapped = (CHANNELS[0], "channels.frame=a2 [m/s2]", "channels.body=a1 [m/s2]")
     assert typed("init", "healthy", "vehicle=bench", *swapped).returncode == 0
-    checked = typed("check", "healthy", "--config-dir", "rigs", "--workers", "1", "--no-pictures")
+    checked = typed("check", "healthy", "--config-dir", "rigs", "--no-pictures")
     assert checked.returncode == 1
     assert "sensors look exchanged: base, frame and body fit far better as base, body, frame" in (
         " ".join(checked.stdout.split())
@@ -121,7 +128,10 @@ def test_record_without_an_estimate_harms_no_other(folder):
     assert trained.returncode == 0, trained.stderr
     read = typed("evaluate", "trips=later", "run=run", "hydra.run.dir=out")
     assert read.returncode == 2, read.stderr
-    rows = {row["record"]: row for row in csv.DictReader(Path("out/records.csv").open())}
+    rows = {
+        row["record"]: row
+        for row in csv.DictReader(Path("out/records.csv").read_text().splitlines())
+    }
     assert rows["lost"]["status"] == "no estimate"
     assert "does not show k_p" in rows["lost"]["reason"]
     assert rows["r8"]["status"] == "ok"

@@ -59,6 +59,8 @@ MOST_SHOWN = 20
 """Largest number of columns that are offered for a channel."""
 OTHER = "@2"
 """End of the name of a column whose sensor is at the bogie's other axle."""
+OF_OTHER_AXLE = f", and likewise of those at the bogie's other axle, with {OTHER} at their end"
+"""What may be said besides the columns of a channel."""
 BY_COMMAND_LINE = "by the command line"
 """Source of a value that KEY=VALUE of the command line states."""
 HOW: Mapping[str, str] = {
@@ -171,9 +173,8 @@ def _check_columns(command_line: Mapping[str, str], trips: Sequence[Trip]) -> No
     for key, value in command_line.items():
         if key.startswith("channels.") and not any(_columns(key, value, t.signals) for t in trips):
             raise ValueError(
-                f"`{key}` must name one or two of the columns {names_of_columns(trips)}, and "
-                f"likewise of those at the bogie's other axle, with {OTHER} at their end; "
-                f"FILE:COLUMN is that of one file; got {value!r}"
+                f"`{key}` must name one or two of the columns {names_of_columns(trips)}"
+                f"{OF_OTHER_AXLE}; FILE:COLUMN is that of one file; got {value!r}"
             )
 
 
