@@ -1,6 +1,5 @@
 """Check manifests and recordings, with a model or without: suspnet check DIR ..."""
 
-import math
 from argparse import Namespace
 from collections.abc import Container, Sequence
 from datetime import datetime
@@ -139,7 +138,7 @@ def next_steps(
         train += _speeds_beyond_healthy(ready_of, n_healthy)
     of_each = "trips of each suspension by mileage are taken as healthy; give as many as were run "
     named = "before any wear, {NAME:number} of each"
-    if not any(math.isfinite(check.mileage_km) for check in checks):  # of a rig
+    if all(check.is_rig for check in checks):
         of_each = "records by start, or else by name, are taken as healthy; give as many as were "
         named = "made before any change"
     return [

@@ -218,6 +218,7 @@ def _of_rig(result: TripCheck, manifest: RecordManifest, settings: CheckSettings
         duration_s=record.signals.shape[1] / record.rate_hz,
         usable_percent=100 * float(record.usable.mean()),
         unchecked=rig is None,
+        is_rig=True,
     )
     if rig is None:
         unknown = f"the numbers of the rig {manifest.vehicle!r} are not known"

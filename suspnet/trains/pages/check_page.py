@@ -72,7 +72,7 @@ class TripCheck:
     decide whether the trip is ready, empty without models. `unchecked`: the vehicle's numbers are
     not known, so that ``NEED_A_VEHICLE`` are not checked. `shows_parts`: each part of the bogie can
     be read from it, as far as was checked. `label` is its name among trips of several folders,
-    `frame_sensor` where the frame's sensor looks to be.
+    `frame_sensor` where the frame's sensor looks to be. `is_rig`: it is a record of a rig.
     """
 
     manifest: Path
@@ -95,6 +95,7 @@ class TripCheck:
     shows_parts: bool = False
     label: str = ""
     frame_sensor: str = "axle"
+    is_rig: bool = False
 
     @property
     def shown(self) -> str:
