@@ -165,7 +165,7 @@ def read_vehicles(folder: str | Path = CONFIGS) -> dict[str, Vehicle]:
 def read_rigs(folder: str | Path) -> dict[str, Rig]:
     """Return the rigs in the group `vehicle` of a folder, by file name; raises as `read_vehicles`.
 
-    They are the files in which `kind: rig` stands.
+    They are the files with ``kind: rig``.
     """
     return {key: v for key, v in _every_vehicle(folder).items() if _is_rig(v)}
 

@@ -203,10 +203,9 @@ def rough_misfits(rig: Rig, spectra: RigSpectra, orders: Sequence[Sequence[int]]
 
 def _starts(rig: Rig) -> list[FloatArray]:
     """Return the logarithms of rigs from softer to stiffer than stated."""
-    factors = product(FACTORS, FACTORS)
     return [
-        replace(rig, primary_hz=a * rig.primary_hz, secondary_hz=b * rig.secondary_hz).logs
-        for a, b in factors
+        rig.logs + np.array([2 * a, a, 2 * b, b, 0.0])
+        for a, b in product(np.log(FACTORS), repeat=2)
     ]
 
 

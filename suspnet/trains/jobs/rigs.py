@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import logging
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
@@ -260,12 +261,19 @@ def _beyond(estimate: RigEstimate) -> str:
 
 def _parts(value: Value) -> tuple[str, str]:
     if value.high > WIDEST * value.low:
-        return f"{value.value:.3g}", f"{NOT_SHOWN}"
-    return f"{value.value:.3g}", f"{value.low:.3g} to {value.high:.3g}"
+        return f"{value.value:.3g}", NOT_SHOWN
+    number, low, high = _texts(value)
+    return number, f"{low} to {high}"
 
 
 def _percent(ratio: Value) -> str:
     if ratio.high > WIDEST * ratio.low:
         return NOT_SHOWN
-    value, low, high = (f"{100 * end:.3g}" for end in (ratio.value, ratio.low, ratio.high))
+    value, low, high = _texts(Value(100 * ratio.value, 100 * ratio.low, 100 * ratio.high))
     return f"{value} ({low} to {high})"
+
+
+def _texts(value: Value) -> list[str]:
+    """Return a number and the ends of its interval with as many digits as that is worth."""
+    digits = max(3, 1 - math.floor(math.log10(max(value.high / value.low - 1, 1e-5))))
+    return [f"{end:.{digits}g}" for end in (value.value, value.low, value.high)]
