@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf
 
 from suspnet.cli import program
 from suspnet.cli.folders import ACT, FINE, NOTICE, SOME_WITHOUT_ESTIMATE, worst
-from suspnet.cli.kinds import build
+from suspnet.cli.kinds import build, plain
 from suspnet.ground.extras import check_extra, optional
-from suspnet.ground.parameters import Severity
+from suspnet.ground.parameters import DEFAULT_LIMITS, Severity, read_limits
 from suspnet.ground.settings import check_number
 from suspnet.ground.wording import command
 from suspnet.vehicle.rig import Rig
@@ -27,6 +28,7 @@ with optional("trips"):
         reading_lines,
     )
 if TYPE_CHECKING:
+    from suspnet.estimation.commissioned_rig import CommissionedRig
     from suspnet.trains.jobs.rigs import RigResult
 
 log = logging.getLogger(__name__)
@@ -76,7 +78,7 @@ def evaluate_rig(config: DictConfig, output: Path) -> int:
         raise ValueError(f"{config.run} holds a rig, which reads records: give trips=DIR")
     if config.store is not None:
         raise ValueError("store= is for trains: the history has mileages, which rigs have not")
-    rig = load_rig(config.run)
+    rig = _with_limits(load_rig(config.run), plain(config.monitor.limits) or {})
     program.save_config(config, output)
     level = config.monitor.trips.level
     results = read_folder(rig, Path(config.trips), output, level)
@@ -84,6 +86,13 @@ def evaluate_rig(config: DictConfig, output: Path) -> int:
         log.info("%s", line)
     log.info("-> %s", output / "records.csv")
     return worst(_code(result) for result in results)
+
+
+def _with_limits(rig: CommissionedRig, wanted: dict[str, Any]) -> CommissionedRig:
+    """Return the rig with limits that the command line sets for this evaluation."""
+    limits = read_limits(wanted, rig.rig.known_limits, "set for this evaluation")
+    stated = {name: limits[name].to_dict() if name in limits else None for name in DEFAULT_LIMITS}
+    return replace(rig, rig=replace(rig.rig, limits=stated))
 
 
 def _code(result: RigResult) -> int:

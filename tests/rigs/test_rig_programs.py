@@ -67,6 +67,9 @@ def test_from_files_to_a_verdict(folder):
     (row,) = csv.DictReader(Path("out/records.csv").read_text().splitlines())
     assert float(row["k_p_low"]) < 0.7 < float(row["k_p_high"])
     assert row["verdict"] == "act"
+    limits = ["monitor.limits.k_p.notice=[0.5,2]", "monitor.limits.k_p.act=[0.5,2]"]
+    wide = typed("evaluate", "trips=later", "run=run", "hydra.run.dir=wide", *limits)
+    assert wide.returncode == 0, wide.stderr
     again = typed("evaluate", "trips=healthy", "run=run", "hydra.run.dir=again")
     assert again.returncode == 0, again.stderr
     assert json.loads(Path("again/records.json").read_text())["records"][0]["verdict"] == "none"

@@ -114,10 +114,9 @@ def records_of(folder: Path, rig: str) -> list[RecordManifest]:
             problems += error.problems
     if problems:
         raise TripError(*problems)
-    starts = [manifest.start for manifest in manifests]
-    if None in starts:
+    if any(manifest.start is None for manifest in manifests):
         return manifests
-    return sorted(manifests, key=lambda manifest: (manifest.start, manifest.name))
+    return sorted(manifests, key=lambda manifest: (str(manifest.start), manifest.name))
 
 
 def _of_rig(path: Path, rig: str) -> RecordManifest:
