@@ -78,23 +78,20 @@ class RigMisfit:
         taps = self.spectra.taps
         return np.asarray((self._patterns @ taps.reshape(len(taps), 9, 1))[..., 0])
 
-    def white(self, logs: FloatArray, errors: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return residuals (n_freq, 2) without their factor, and the rows that make them of taps.
+    def white(self, logs: FloatArray, errors: FloatArray) -> tuple[ComplexArray, ...]:
+        """Return residuals without their factor, Q^-1/2, R and N' R^*, those of taps in a row.
 
-        The rows are (n_freq, 2, 9), those of the taps one after the other.
+        Their shapes are (n_freq, 2, 1), (n_freq, 2, 2), (n_freq, 2, 9) and (n_freq, 9, 2).
         """
         rows = equations(logs, self._patterns)
         noise = np.tile(self.spectra.noise + errors**2 * self.spectra.powers, len(TAPS))
-        variance = (rows * noise[:, None]) @ rows.conj().transpose(0, 2, 1)
-        root = np.linalg.inv(np.linalg.cholesky(variance))
-        residuals = (root @ equations(logs, self._moved)[:, :, None])[..., 0]
-        return residuals, root @ rows
+        noisy = (rows * noise[:, None]).conj().transpose(0, 2, 1)
+        root = np.asarray(np.linalg.inv(np.linalg.cholesky(rows @ noisy)), dtype=complex)
+        return root @ equations(logs, self._moved)[:, :, None], root, rows, noisy
 
     def __call__(self, logs: FloatArray) -> FloatArray:
         """Return the residuals, (n_freq * 4,), those of a bin next to each other."""
-        residuals = self.white(logs, self.errors)[0]
-        factor = np.sqrt(2 / Welch().correlated_bins)
-        return np.asarray(factor * np.ascontiguousarray(residuals).view(float).ravel())
+        return _real(self.white(logs, self.errors)[0])
 
     def jacobian(self, logs: FloatArray) -> FloatArray:
         """Return the derivatives of the residuals, (n_freq * 4, 5).
@@ -102,20 +99,15 @@ class RigMisfit:
         With Q = L L^*, M_j = L^-1 dQ/dx_j L^-* and Phi(M) its lower triangle, half of the diagonal
         in it, dr/dx_j = L^-1 de/dx_j - Phi(M_j) r.
         """
-        rows = equations(logs, self._patterns)
-        noise = np.tile(self.spectra.noise + self.errors**2 * self.spectra.powers, len(TAPS))
-        noisy = (rows * noise[:, None]).conj().transpose(0, 2, 1)
-        root = np.linalg.inv(np.linalg.cholesky(rows @ noisy))
-        residuals = (root @ equations(logs, self._moved)[:, :, None])[..., 0]
-        numbers = np.exp(logs)
+        residuals, root, _, noisy = self.white(logs, self.errors)
         columns = []
-        for number, of, moved in zip(numbers, self._patterns[1:], self._moved[1:], strict=True):
-            half = root @ (number * of @ noisy) @ root.conj().transpose(0, 2, 1)
+        changes = zip(np.exp(logs), self._patterns[1:], self._moved[1:], strict=True)
+        for number, rows, moved in changes:
+            half = root @ (number * rows @ noisy) @ root.conj().transpose(0, 2, 1)
             change = half + half.conj().transpose(0, 2, 1)
             lower = np.tril(change) - np.eye(2) * change / 2
-            slope = root @ (number * moved)[:, :, None] - lower @ residuals[:, :, None]
-            columns.append(np.ascontiguousarray(slope[..., 0]).view(float).ravel())
-        return np.asarray(np.sqrt(2 / Welch().correlated_bins) * np.stack(columns, axis=1))
+            columns.append(_real(root @ (number * moved)[:, :, None] - lower @ residuals))
+        return np.stack(columns, axis=1)
 
     def rms(self, logs: FloatArray) -> float:
         """Return the rms residual over that of noise and errors; 1 without any signal."""
@@ -140,15 +132,22 @@ class Explained:
     def rest(self, squares: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return what errors must explain, its deviation by noise, and their patterns."""
         spectra = self.record.spectra
-        residuals, rows = self.record.white(self.logs, squares.sqrt().numpy())
+        residuals, root, rows, _ = self.record.white(self.logs, squares.sqrt().numpy())
+        rows = root @ rows
         noise = (rows * np.tile(spectra.noise, len(TAPS))) @ rows.conj().transpose(0, 2, 1)
         rows = rows.reshape(len(rows), 2, len(TAPS), 3)
         squares_of = np.einsum("fems,fdms->fsed", rows, rows.conj())
         return equations_of(
-            torch.as_tensor(residuals[:, :, None] * residuals[:, None, :].conj() - noise),
+            torch.as_tensor(residuals @ residuals.conj().transpose(0, 2, 1) - noise),
             torch.as_tensor(noise),
             torch.as_tensor(squares_of * spectra.powers[:, :, None, None]),
         )
+
+
+def _real(residuals: ComplexArray) -> FloatArray:
+    """Return residuals (n_freq, 2, 1) with their factor as real numbers, (n_freq * 4,)."""
+    factor = np.sqrt(2 / Welch().correlated_bins)
+    return np.asarray(factor * np.ascontiguousarray(residuals[..., 0]).view(float).ravel())
 
 
 def fit_rig(rig: Rig, spectra: RigSpectra) -> RigReading:
@@ -158,7 +157,7 @@ def fit_rig(rig: Rig, spectra: RigSpectra) -> RigReading:
     """
     nothing = np.zeros((len(spectra.frequencies_hz), len(TAPS)))
     rough = RigMisfit(spectra, nothing + ROUGH)
-    # another valley is as deep as it may be only if errors are large: start from all, and keep one
+    # while large errors are allowed valleys are few and wide; the deepest is kept
     ends = [_search(rough, rig, start) for start in _starts(rig)]
     x, fit = min(ends, key=lambda end: end.cost).x, rough
     knots_hz = float(np.ptp(spectra.frequencies_hz)) / KNOTS
