@@ -55,6 +55,7 @@ from suspnet.trains.fits.bogie_fit import fit_parts as fit_parts
 from suspnet.trains.fits.commissioning import Commissioned as Commissioned
 from suspnet.trains.fits.commissioning import commission as commission
 from suspnet.trains.fits.worn_parts import WornPart as WornPart
+from suspnet.trains.fits.worn_parts import expected_losses as expected_losses
 from suspnet.trains.fits.worn_parts import least_losses as least_losses
 from suspnet.trains.fits.worn_parts import worn_parts as worn_parts
 from suspnet.trains.identification.bogie_trips import bogie_trip as bogie_trip

@@ -8,12 +8,11 @@ from pathlib import Path
 
 from suspnet.cli.config_files import own_vehicles
 from suspnet.cli.kinds import named_runs, read_rigs, vehicles_with
-from suspnet.cli.presets import N_HEALTHY
 from suspnet.cli.typed_words import listed
 from suspnet.curves.estimates import WIDE_SPEED_HALF_WIDTH
 from suspnet.curves.speeds import SpeedRange, covering, setting_words
 from suspnet.estimation.checkpoint import load_model
-from suspnet.estimation.trip_settings import LEAST_TRIPS
+from suspnet.estimation.trip_settings import LEAST_TRIPS, N_HEALTHY
 from suspnet.ground import ledger, progress
 from suspnet.ground.settings import check_number
 from suspnet.ground.storage import distinct, new_folder, printable
@@ -134,11 +133,12 @@ def next_steps(
         *(f"healthy={folder}", f"n_healthy={n_healthy}"),
         *(["generator.frame_sensor=centre"] if at_centre else []),
     ]
-    if not shows_parts:  # a bogie is read at any speed
+    of_rig = all(check.is_rig for check in checks)
+    if not shows_parts and not of_rig:  # a bogie is read at any speed
         train += _speeds_beyond_healthy(ready_of, n_healthy)
     of_each = "trips of each suspension by mileage are taken as healthy; give as many as were run "
     named = "before any wear, {NAME:number} of each"
-    if all(check.is_rig for check in checks):
+    if of_rig:
         of_each = "records by start, or else by name, are taken as healthy; give as many as were "
         named = "made before any change"
     return [

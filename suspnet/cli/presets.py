@@ -6,8 +6,6 @@ from pathlib import Path
 
 OF_HEALTHY = "experiment=trips"
 """Experiment of models that are commissioned on healthy trips."""
-N_HEALTHY = 5
-"""Number of first trips that are taken as healthy, as train.yaml has it."""
 
 
 def of_healthy(

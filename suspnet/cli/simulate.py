@@ -8,7 +8,7 @@ from omegaconf import DictConfig
 
 from suspnet.cli import program
 from suspnet.cli.kinds import build
-from suspnet.cli.presets import N_HEALTHY
+from suspnet.estimation.trip_settings import N_HEALTHY
 from suspnet.ground.settings import check_number
 from suspnet.ground.wording import command
 from suspnet.trains.simulation.fleet import Trains

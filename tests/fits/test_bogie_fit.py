@@ -28,6 +28,7 @@ from suspnet.trains.fits.bogie_search import (
     tolerances,
 )
 from suspnet.trains.fits.healthy_scatter import read_as_later
+from suspnet.trains.fits.worn_parts import expected_losses, least_losses
 from suspnet.trains.identification.bogie_trips import PARTS_OF_BOGIE
 from suspnet.trains.spectra.bogie_trip import BogieTrip
 from suspnet.trains.spectra.subspace import SpectralMatrix
@@ -200,8 +201,9 @@ def test_exact_spectra_give_the_exact_parts():
     np.testing.assert_allclose(found.values, given[0].numpy(), rtol=2e-3)
 
 
-@pytest.mark.parametrize("segment_s", [40.0, 120.0])
-def test_what_bins_leak_is_no_error_of_the_vehicle(commissioned, segment_s):
+# the less bins leak, the more of it dampers' own forces can be taken for
+@pytest.mark.parametrize(("segment_s", "share"), [(40.0, 0.1), (120.0, 0.4)])
+def test_what_bins_leak_is_no_error_of_the_vehicle(commissioned, segment_s, share):
     """Exact spectra, with neighbours 1 / T away: the residuals are those of the leakage alone."""
     welch, worn = Welch(segment_s), {"c_p_axle2_left": 0.6}
     density = np.diag([1.0, 0.5, 0.1])
@@ -214,7 +216,7 @@ def test_what_bins_leak_is_no_error_of_the_vehicle(commissioned, segment_s):
         fit_parts(commissioned, replace(one, welch=leaks), start=ratios(worn))
         for leaks in (welch, None)
     )
-    assert found.misfit < 0.3 * unaware.misfit
+    assert found.misfit < share * unaware.misfit
     np.testing.assert_allclose(found.values, ratios(worn), rtol=2e-3)
 
 
@@ -344,7 +346,7 @@ def test_the_valley_is_chosen_by_the_slowest_and_the_fastest_trip(monkeypatch):
 @pytest.mark.parametrize(
     ("masses", "part"),
     # 0.22 and 0.44 of a deviation where the decrease may be 1e-3
-    [(MASSES[:1], 0.15), pytest.param(MASSES, 0.3, marks=pytest.mark.slow)],
+    [(MASSES[:1], 0.2), pytest.param(MASSES, 0.3, marks=pytest.mark.slow)],
     ids=["one", "three"],
 )
 def test_healthy_trips_end_at_the_minimum(masses, part):
@@ -467,7 +469,21 @@ def test_healthy_trips_are_left_out_as_by_a_fit_to_the_others():
         later = fit_parts(replace(others, scatter=None), one, start=ratios({}))
         deviations = np.sqrt(np.diag(covariances[i]))
         np.testing.assert_allclose(later.deviations, deviations, rtol=0.15)
-        assert (np.abs(np.log(later.values) - logs[i]) < 0.5 * deviations)[:12].all()
+        # noise and dampers' forces, which a step keeps, are in the fit those of the other trips
+        assert (np.abs(np.log(later.values) - logs[i]) < 0.7 * deviations)[:12].all()
+
+
+def test_losses_are_known_before_commissioning():
+    """They are those that the commissioned vehicle gives, but for the scatter of its few trips."""
+    trips = [trip(drawn(VEHICLE, row({}, mass), i), 70.0) for i, mass in enumerate(MASSES)]
+    expected = expected_losses(VEHICLE, trips[0], len(trips))
+    bogie = commissioned_bogie()
+    noise_alone = replace(bogie.scatter, own=(0.0,) * 4, alike=(0.0,) * 4)
+    found = least_losses(replace(bogie, misfit=1.0, scatter=noise_alone))
+    np.testing.assert_allclose([*expected.values()], [*found.values()], rtol=0.15)
+    # fewer healthy trips tell less
+    fewer = expected_losses(VEHICLE, trips[0], 2)
+    assert sum(fewer.values()) > sum(expected.values())
 
 
 def test_scatter_is_what_noise_does_not_explain(monkeypatch):

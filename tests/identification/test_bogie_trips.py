@@ -187,6 +187,27 @@ def test_damping_is_that_at_the_temperature_of_the_healthy_trips(short, monkeypa
     assert of["c_s_right"] == pytest.approx(np.exp(0.2))
 
 
+def test_no_damper_is_named_for_the_weather(short, monkeypatch):
+    law, warm_c = DampingByTemperature(10.0, (-0.01, -0.02), (0.001, 0.002)), 30.0
+    values = np.ones(13)
+    for name, slope in zip(("c_p", "c_s"), law.slopes, strict=True):
+        values[[one.startswith(name) for one in COMPONENTS]] = np.exp(20 * slope)
+    # one of four dampers does not follow the others
+    values[COMPONENTS.index("c_p_axle2_right")] = 1.0
+    parts = PartsEstimate(values, 1e-4 * np.eye(13), 1.0, True, 0.9)
+    monkeypatch.setattr(bogie_trips, "bogie_trip", lambda *_: SimpleNamespace(lost=()))
+    monkeypatch.setattr(bogie_trips, "fit_parts", lambda *_: parts)
+    bogie = CommissionedBogie(VEHICLE, torch.ones(6), np.ones(3), 1.0, True, law)
+    warm = replace(short, manifest=replace(short.manifest, temperature_c=warm_c))
+    estimate = estimate_parts(bogie, warm, TripSettings(check_channels=False))
+    assert "axle 2, right at 122 %" in estimate.found
+    assert estimate.found.count("%") == 1
+    # intervals hold the error of the slopes, as those of the curve fit do
+    expected = law.compared(parts.as_estimate(), warm_c)
+    np.testing.assert_allclose(estimate.values, expected.values, rtol=1e-12)
+    np.testing.assert_allclose(estimate.low, expected.low, rtol=1e-9)
+
+
 def test_a_short_trip_is_read_from_shorter_segments(short):
     kept = round(5.5 * 60 * RATE_HZ)
     usable = short.usable & (np.arange(len(short.usable)) < kept)

@@ -36,6 +36,7 @@ from scipy.stats import norm
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.temperature import (
+    DAMPINGS,
     SLOPE_DEVIATION,
     USUAL_SLOPE,
     DampingByTemperature,
@@ -86,6 +87,17 @@ class PartsEstimate(ShortRepr):
     def deviations(self) -> FloatArray:
         """Standard deviation of each logarithm, (n_names,), [-]."""
         return np.sqrt(np.diag(self.covariance))
+
+    def compared(self, law: DampingByTemperature, temperature_c: float) -> PartsEstimate:
+        """Return the estimate with damping as it would be at the healthy trips' temperature.
+
+        The errors of the slopes are the same for all dampers of a kind.
+        """
+        warmer = temperature_c - law.healthy_c
+        is_damper = np.array([[kind_of(name) == kind for kind in DAMPINGS] for name in self.names])
+        shared = is_damper * warmer * np.array(law.deviations)
+        values = self.values * np.exp(-warmer * is_damper @ np.array(law.slopes))
+        return replace(self, values=values, covariance=self.covariance + shared @ shared.T)
 
     def as_estimate(self) -> Estimate:
         """Return the estimate as one row, with intervals of the level."""

@@ -19,7 +19,7 @@ from suspnet.ground.parameters import COMPONENTS, PARAMETERS, Direction, kind_of
 from suspnet.ground.types import FloatArray
 from suspnet.trains.spectra.bogie_trip import BogieTrip, smallest_noise
 from suspnet.trains.spectra.model_errors import SPACING_HZ, Explained, model_errors
-from suspnet.trains.spectra.noise_subspace import Leakage, TripNoise, trip_noise
+from suspnet.trains.spectra.noise_subspace import DamperForces, Leakage, TripNoise, trip_noise
 from suspnet.trains.spectra.subspace import SubspaceMisfit
 from suspnet.vehicle import SpatialVehicle
 from suspnet.vehicle.quantities import MASS_DEVIATION, MASS_MEAN, LogNormal
@@ -267,12 +267,29 @@ class BogieMisfit:
             alone = self._of(trip).channels_alone(self._rows(x, i), self.frequencies_hz[bins])[0]
             alone = alone[self._inputs][:, :, self.sensors_of(trip)]
             leakage = self._leakage(x, i, responses)
-            at_bins = trip_noise(trip.spectra.at(bins), responses, alone, start, leakage)
+            forces = self._forces(x, i)
+            at_bins = trip_noise(trip.spectra.at(bins), responses, alone, start, leakage, forces)
             # bins that are left out have any noise
             matrix = torch.diag(at_bins.densities).to(at_bins.matrix)
             matrix = matrix.repeat(len(self.all_bins), 1, 1).index_copy(0, bins, at_bins.matrix)
             noises.append(replace(at_bins, matrix=matrix))
         return noises
+
+    def _forces(self, x: FloatArray, i: int) -> DamperForces:
+        """Return what the dampers of both bogies do to the sensors of trip i."""
+        trip, columns = self.trips[i], self.generator.columns
+        bins_hz = self.frequencies_hz[trip.of(self.all_bins)]
+        inputs, sensors = self._inputs, self.sensors_of(trip)
+        changes = []
+        for kind in DAMPINGS:
+            of_kind = [name for name in COMPONENTS if name.startswith(kind)]
+            dampers = [
+                columns.index(prefix + name) for prefix in ("", "other_") for name in of_kind
+            ]
+            each = torch.eye(len(columns), dtype=torch.float64)[dampers]
+            of_dampers = self._of(trip).channels_along(self._rows(x, i), bins_hz, each)[1][0]
+            changes.append(of_dampers[:, inputs][:, :, sensors])
+        return DamperForces(bins_hz, changes)
 
     def _leakage(self, x: FloatArray, i: int, responses: Tensor) -> Leakage | None:
         """Return what the bins of trip i, whose responses those are, take from their neighbours."""
@@ -291,6 +308,23 @@ class BogieMisfit:
     def with_noise_at(self, x: FloatArray) -> BogieMisfit:
         """Return the fit with the noise of each trip for the vehicle at x."""
         return replace(self, noises=[noise.matrix for noise in self.noise_at(x)])
+
+    def as_expected(self, x: FloatArray) -> BogieMisfit:
+        """Return the fit with the spectra that trips of the vehicle at x have, and their noise.
+
+        The inputs are those that it explains the trips best with.
+        """
+        fit, trips = self.with_noise_at(x), []
+        for i, (trip, noise) in enumerate(zip(self.trips, fit.noises, strict=True)):
+            responses = self.responses(x, i, self.all_bins).permute(2, 1, 0)
+            # bins that are left out are as expected, too
+            inverse = torch.linalg.pinv(responses)
+            inputs = inverse @ (trip.spectra.values - noise) @ inverse.mH
+            power, vectors = torch.linalg.eigh(inputs)
+            inputs = vectors * power.clamp(min=0)[:, None] @ vectors.mH
+            values = responses @ inputs @ responses.mH + noise
+            trips.append(replace(trip, spectra=replace(trip.spectra, values=values)))
+        return replace(fit, trips=trips)
 
     def with_errors_at(self, x: FloatArray) -> BogieMisfit:
         """Return the fit with noise, and errors of the model that the trips show, at x."""

@@ -53,22 +53,7 @@ def read_as_later(fit: BogieMisfit, x: FloatArray) -> tuple[FloatArray, FloatArr
     These are of noise, (n_trips, 13, 13).
     """
     n = fit.n_shared
-    later = replace(fit, are_healthy=False, ties=SEPARATE)
-    steps = []
-    for i in range(len(fit.trips)):
-        of_trip = later.of_trips([i])
-        # the vehicle and the mass as they are, all parts healthy
-        own = np.zeros(of_trip.n_own)
-        own[-1] = x[n + i]
-        at = np.concatenate([x[:n], own])
-        n_prior = len(of_trip.prior_deviations)
-        jacobian, residuals = of_trip.exact.jacobian(at), of_trip.exact(at)
-        information = jacobian[:-n_prior].T @ jacobian[:-n_prior]
-        score = jacobian[:-n_prior].T @ residuals[:-n_prior]
-        precision = 1 / of_trip.prior_deviations[n:] ** 2
-        information[n:, n:] += np.diag(precision)
-        score[n:] += of_trip.prior(at)[n:] * np.sqrt(precision)
-        steps.append((at, information, score))
+    steps = [_step(fit, x, i) for i in range(len(fit.trips))]
     healthy = [_without_mass(information, score, n) for _, information, score in steps]
     information_of_all = np.eye(n) + sum(of_trip for of_trip, _ in healthy)
     score_of_all = x[:n] + sum(of_trip for _, of_trip in healthy)
@@ -80,6 +65,37 @@ def read_as_later(fit: BogieMisfit, x: FloatArray) -> tuple[FloatArray, FloatArr
         logs.append((at - covariance @ score)[n:])
         covariances.append(covariance[n:, n:])
     return np.array(logs), np.array(covariances)
+
+
+def expected_noise(fit: BogieMisfit, x: FloatArray, n_healthy: int) -> FloatArray:
+    """Return the covariance that noise will give the logarithms of parts and mass, (13, 13).
+
+    It is that of a trip like the first one, read with a vehicle like that at x, which `n_healthy`
+    trips like it have shown.
+    """
+    n = fit.n_shared
+    _, information, score = _step(fit.as_expected(x), x, 0)
+    of_healthy, _ = _without_mass(information, score, n)
+    information[:n, :n] += np.eye(n) + n_healthy * of_healthy
+    return np.asarray(np.linalg.inv(information)[n:, n:])
+
+
+def _step(fit: BogieMisfit, x: FloatArray, i: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return trip i's coordinates as a later one, and its information and score there."""
+    n = fit.n_shared
+    of_trip = replace(fit, are_healthy=False, ties=SEPARATE).of_trips([i])
+    # the vehicle and the mass as they are, all parts healthy
+    own = np.zeros(of_trip.n_own)
+    own[-1] = x[n + i]
+    at = np.concatenate([x[:n], own])
+    n_prior = len(of_trip.prior_deviations)
+    jacobian, residuals = of_trip.exact.jacobian(at), of_trip.exact(at)
+    information = jacobian[:-n_prior].T @ jacobian[:-n_prior]
+    score = jacobian[:-n_prior].T @ residuals[:-n_prior]
+    precision = 1 / of_trip.prior_deviations[n:] ** 2
+    information[n:, n:] += np.diag(precision)
+    score[n:] += of_trip.prior(at)[n:] * np.sqrt(precision)
+    return at, information, score
 
 
 def _without_mass(

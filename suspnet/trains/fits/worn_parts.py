@@ -19,17 +19,21 @@ changed by this.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from suspnet.estimation.commissioned_bogie import CommissionedBogie
+from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScatter
 from suspnet.ground.findings import WORN, WORN_ONE_OF, Finding, together
 from suspnet.ground.parameters import BOGIE_PARTS, kind_of, part_words
+from suspnet.ground.tensors import threads
 from suspnet.ground.types import FloatArray
-from suspnet.trains.fits.bogie_fit import PartsEstimate, beyond_noise
+from suspnet.trains.fits.bogie_fit import PartsEstimate, beyond_noise, healthy_misfit
 from suspnet.trains.fits.bogie_misfit import WEAR
+from suspnet.trains.fits.healthy_scatter import expected_noise
+from suspnet.trains.spectra.bogie_trip import BogieTrip
+from suspnet.vehicle import SpatialVehicle
 
 USUAL = {"k": 0.003, "c": 0.006}
 """Standard deviation of the logarithm of a part that has not worn, of springs and of dampers."""
@@ -129,12 +133,32 @@ def least_losses(bogie: CommissionedBogie, level: float = 0.9) -> dict[str, floa
     if bogie.scatter is None:
         raise ValueError("how the healthy trips scatter is not known")
     noise, wider = np.pad(np.array(bogie.scatter.noise), (0, 1)), bogie.scatter.student(level) ** 2
+    return _least_losses(lambda logs: wider * (noise + beyond_noise(bogie, logs)), level)
+
+
+@threads(1)  # systems of 30 equations are too small for two
+def expected_losses(
+    vehicle: SpatialVehicle, trip: BogieTrip, n_healthy: int, level: float = 0.9
+) -> dict[str, float]:
+    """Return the `least_losses` before commissioning, on `n_healthy` trips like this one.
+
+    `vehicle` has the prior of its numbers. The vehicle is taken to be complete, its trips to differ
+    by noise alone: what commissioning finds beyond it adds to these losses. ValueError as of
+    `suspnet.trains.fits.bogie_fit.healthy_misfit`.
+    """
+    fit = healthy_misfit(vehicle, [trip])
+    noise = expected_noise(fit, fit.start(), n_healthy)
+    wider = HealthyScatter((0.0,) * 4, (0.0,) * 4, n_healthy, ()).student(level) ** 2
+    return _least_losses(lambda _: wider * noise, level)
+
+
+def _least_losses(covariance: Callable[[FloatArray], FloatArray], level: float) -> dict[str, float]:
+    """Return the least losses, given the covariance of logarithms (13, 13) for logarithms (13,)."""
 
     def is_named(part: int, loss: float) -> bool:
         logs = np.zeros(len(BOGIE_PARTS) + 1)
         logs[part] = math.log(1 - loss)
-        covariance = wider * (noise + beyond_noise(bogie, logs))
-        worn = worn_parts(PartsEstimate(np.exp(logs), covariance, 1.0, True, level))
+        worn = worn_parts(PartsEstimate(np.exp(logs), covariance(logs), 1.0, True, level))
         return [found.names for found in worn] == [(BOGIE_PARTS[part],)]
 
     losses = {}

@@ -227,6 +227,9 @@ def estimate_parts(
     if settings.check_channels:
         check_order(bogie.generator, trip)
     parts = fit_parts(bogie, trip, settings.level)
+    temperature_c = recording.manifest.temperature_c
+    if bogie.law is not None and temperature_c is not None:
+        parts = parts.compared(bogie.law, temperature_c)
     estimate = parts.as_estimate()
     flags = with_doubt(estimate.flags, has_converged=bogie.converged, words=BOGIE_NOT_CONVERGED)
     if not parts.converged:
@@ -238,7 +241,7 @@ def estimate_parts(
         flags = flags.with_kind("misfit", _unexplained(parts))
     places = _places(recording.manifest, bogie.generator.frame_sensor)
     names = {place: name for name, place in places.items()}
-    estimate = replace(
+    return replace(
         estimate,
         flags=flags,
         healthy=bogie.healthy,
@@ -246,9 +249,6 @@ def estimate_parts(
         misfit=parts.misfit,
         lost=tuple(names.get(place, place) for place in trip.lost),
     )
-    if bogie.law is None:
-        return estimate
-    return bogie.law.compared(estimate, recording.manifest.temperature_c)
 
 
 def _unexplained(parts: PartsEstimate) -> str:

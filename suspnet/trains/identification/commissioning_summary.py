@@ -266,12 +266,15 @@ def reach_of_parts(bogie: CommissionedBogie) -> str:
     """Return a sentence on the loss from which parts are named, the worst of each kind."""
     if bogie.scatter is None:
         return ""
-    losses = least_losses(bogie)
-    worst = {
+    return Finding("named-from", **hardest_losses(least_losses(bogie)))
+
+
+def hardest_losses(losses: Mapping[str, float]) -> dict[str, float]:
+    """Return the largest of the losses [-] of the parts of each kind, in %."""
+    return {
         kind: 100 * max(loss for name, loss in losses.items() if kind_of(name) == kind)
         for kind in PARAMETERS[:-1]
     }
-    return Finding("named-from", **worst)
 
 
 NOT_CONVERGED = (

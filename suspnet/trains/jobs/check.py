@@ -200,12 +200,13 @@ def _inspected(
     if vehicle is None or spectra is None or result.state == PROBLEM:
         return result
     try:
-        doubts, shows_parts, frame_sensor = check_sensors(
+        doubts, shown, frame_sensor = check_sensors(
             recording, segments, checked, vehicle, estimate, settings.trips
         )
     except TripError as error:
         return _with_problems(result, error.problems)
-    return _with_remarks(result, *doubts, shows_parts=shows_parts, frame_sensor=frame_sensor)
+    result = _with_remarks(result, *doubts, frame_sensor=frame_sensor)
+    return result if shown is None else replace(result, least_losses=shown.least_losses)
 
 
 def _of_rig(result: TripCheck, manifest: RecordManifest, settings: CheckSettings) -> TripCheck:
@@ -223,7 +224,7 @@ def _of_rig(result: TripCheck, manifest: RecordManifest, settings: CheckSettings
     if rig is None:
         unknown = f"the numbers of the rig {manifest.vehicle!r} are not known"
         return _with_remarks(result, unknown, state=TOO_LITTLE)
-    result = replace(result, band_hz=rig.band_hz, shows_parts=True)
+    result = replace(result, band_hz=rig.band_hz)
     try:
         if order := exchanged(rig, record):
             return _with_problems(
@@ -351,13 +352,13 @@ def _of_parts(
     if way is None and show_parts(sensor_places(recording.manifest, "axle")):
         return _with_remarks(result, NO_DIRECTION)
     try:
-        trip = check_bogie(recording, vehicle, settings, [way] if way else [])
+        shown = check_bogie(recording, vehicle, settings, [way] if way else [])
     except TripError as error:
         return _with_problems(result, error.problems)
     except NoEstimateError as reason:
         return _with_remarks(result, str(reason))
-    if trip is None:
+    if shown is None:
         return result
     unknown = [float("nan")] * 3
-    part = SteadyPart(trip.speed_m_per_s, trip.spectra.n_averages, *unknown)
-    return replace(result, state=READY, parts=(part,), shows_parts=True)
+    part = SteadyPart(shown.trip.speed_m_per_s, shown.trip.spectra.n_averages, *unknown)
+    return replace(result, state=READY, parts=(part,), least_losses=shown.least_losses)

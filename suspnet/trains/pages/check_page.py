@@ -2,7 +2,7 @@
 
 import os
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from torch import Tensor
 
 from suspnet._version import __version__
 from suspnet.curves.cross_spectra import CrossSpectra
-from suspnet.estimation.trip_settings import LEAST_TRIPS
+from suspnet.estimation.trip_settings import LEAST_TRIPS, N_HEALTHY
 from suspnet.ground.findings import Finding, at, together
 from suspnet.ground.records import Place
 from suspnet.ground.storage import printable, write_atomically, write_json
@@ -22,6 +22,7 @@ from suspnet.ground.wording import files_of, span
 from suspnet.runs.figures import as_png, say
 from suspnet.runs.language import spoken
 from suspnet.runs.tables import narrow
+from suspnet.trains.identification.commissioning_summary import hardest_losses
 from suspnet.trains.pages.templates import write_page
 from suspnet.trains.pages.trip_figures import CHANNEL_TITLES, draw_signals
 from suspnet.trains.recordings.recording import Recording, overview
@@ -70,9 +71,10 @@ class TripCheck:
     segments that belong to `parts`, which are the speeds with enough averages, the longest first.
     `band_hz` is where the vehicle's responses are read, and `read_by` the speeds of the models that
     decide whether the trip is ready, empty without models. `unchecked`: the vehicle's numbers are
-    not known, so that ``NEED_A_VEHICLE`` are not checked. `shows_parts`: each part of the bogie can
-    be read from it, as far as was checked. `label` is its name among trips of several folders,
-    `frame_sensor` where the frame's sensor looks to be. `is_rig`: it is a record of a rig.
+    not known, so that ``NEED_A_VEHICLE`` are not checked. `least_losses` are those from which a
+    trip like this would name each part of the bogie (`expected_losses`), empty without sensors that
+    show the parts. `label` is its name among trips of several folders, `frame_sensor` where the
+    frame's sensor looks to be. `is_rig`: it is a record of a rig.
     """
 
     manifest: Path
@@ -92,10 +94,15 @@ class TripCheck:
     picture: str = ""
     read_by: str = ""
     unchecked: bool = False
-    shows_parts: bool = False
+    least_losses: Mapping[str, float] = field(default_factory=dict)
     label: str = ""
     frame_sensor: str = "axle"
     is_rig: bool = False
+
+    @property
+    def shows_parts(self) -> bool:
+        """Whether each part of the bogie can be read, as far as was checked."""
+        return bool(self.least_losses)
 
     @property
     def shown(self) -> str:
@@ -130,6 +137,7 @@ class TripCheck:
         return asdict(self) | {
             "manifest": printable(str(self.manifest)),
             "n_averages": self.n_averages,
+            "shows_parts": self.shows_parts,
         }
 
 
@@ -189,6 +197,9 @@ def suspension_sentences(checks: Sequence[TripCheck]) -> list[str]:
     kinds = sorted({check.sensors for check in ready})
     if len(kinds) > 1:
         words.append(Finding("sensors-differ", kinds=together(kinds, "; ")))
+    if seen := next((check for check in ready if check.shows_parts), None):
+        hardest = hardest_losses(seen.least_losses)
+        words.append(Finding("would-name-from", trip=seen.name, n=N_HEALTHY, **hardest))
     return words
 
 

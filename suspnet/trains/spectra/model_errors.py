@@ -28,6 +28,7 @@ from scipy.optimize import nnls
 from torch import Tensor
 
 from suspnet.ground.types import FloatArray
+from suspnet.trains.spectra.hat_functions import hat_functions
 from suspnet.trains.spectra.subspace import SpectralMatrix, SubspaceMisfit
 
 SPACING_HZ = 1.0
@@ -107,7 +108,7 @@ def model_errors(
     spacing_hz: float = SPACING_HZ,
 ) -> Tensor:
     """Return eps, (n_freq, n_sensors) [-]; `before` is that of an earlier round, None: 0."""
-    basis = torch.as_tensor(_hats(frequencies_hz.numpy(), spacing_hz))
+    basis = hat_functions(frequencies_hz, spacing_hz)
     zeros = torch.zeros(len(basis), n_sensors, dtype=torch.float64)
     squares = zeros if before is None else before**2
     n = basis.shape[1] * n_sensors
@@ -135,13 +136,6 @@ def _non_negative(information: FloatArray, score: FloatArray) -> FloatArray:
     scaled = information / sizes[:, None] / sizes + RIDGE * np.eye(len(sizes))
     factor = np.linalg.cholesky(scaled)
     return np.asarray(nnls(factor.T, np.linalg.solve(factor, score / sizes))[0] / sizes)
-
-
-def _hats(frequencies_hz: FloatArray, spacing_hz: float) -> FloatArray:
-    """Return hat functions that sum to 1, (n_freq, n_knots)."""
-    low, high = frequencies_hz[0], frequencies_hz[-1]
-    knots = np.linspace(low, high, max(2, round((high - low) / spacing_hz) + 1))
-    return np.stack([np.interp(frequencies_hz, knots, row) for row in np.eye(len(knots))], axis=1)
 
 
 def _flat(matrices: Tensor) -> Tensor:

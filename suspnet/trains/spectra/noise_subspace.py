@@ -1,26 +1,35 @@
 """What the spectral matrix of sensors holds besides the inputs that all wheelsets meet.
 
-Sensors have white noise of densities n_i, and wheels out of round or rail joints excite each
-wheelset alone. With D_k the density of input k (elevation, cross level, alignment), h_kw the
-responses of the sensors to that input under wheelset w alone, and H those to the inputs of all::
+Sensors have white noise of densities n_i, wheels out of round or rail joints excite each wheelset
+alone, and dampers pull with forces that are incoherent with the inputs, as they blow off, stick or
+choke. With D_k the density of input k (elevation, cross level, alignment), h_kw the responses of
+the sensors to that input under wheelset w alone, and H those to the inputs of all::
 
-    S = H D H^* + N,    N = diag(n) + sum_k a_k D_k sum_w h_kw h_kw^* + sum_j s_j G_j D G_j^*
+    S = H D H^* + N,    N = diag(n) + sum_k a_k D_k sum_w h_kw h_kw^*
+                            + sum_c b_c(f) sum_d H_d D H_d^* + sum_j s_j G_j D G_j^*
+
+H_d is the change of H with the logarithm of damper d: what a force does to the sensors that is as
+large as the damper's own. Driven by noise, a damper of any law pulls like a linear one and with a
+rest that is incoherent with its velocity (Bussgang, MIT RLE Technical Report 216, 1952). For each
+kind c of dampers, the rest has the fraction b_c(f) of the density of their forces, a non-negative
+sum of hat functions ``SPACING_HZ`` apart.
 
 The last term is what a segment of length T leaks into a bin: with s_j the smear of its window
 (`Welch.smear`), bin f holds sum_j s_j H(f + j/T) D H(f + j/T)^*, of which G_j = H(f + j/T) - H(f)
 is not in the columns of H(f). D is taken as diagonal and smooth, so that the terms of first order
 in G_j, which j and -j have with opposite signs, cancel.
 
-The shares a_k and n are those for which N is closest to what S has beyond its p strongest
+The shares a_k, b_c and n are those for which N is closest to what S has beyond its p strongest
 directions: with L the Cholesky factor of N, U the eigenvectors of the m - p smallest eigenvalues
 lambda of L^-1 S L^-* and n_a averages, by non-negative least squares over all bins ::
 
-    U^* L^-1 N(n, a) L^-* U = n_a / (n_a - p) diag(lambda)
+    U^* L^-1 N(n, a, b) L^-* U = n_a / (n_a - p) diag(lambda)
 
 Leakage needs no share: its size is known. N in L and in U is that of the round before. The smallest
 eigenvalues do not depend on H, so that errors of the vehicle are not taken for noise.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -28,6 +37,7 @@ from scipy.optimize import nnls
 from torch import Tensor
 from torch.nn.functional import avg_pool1d
 
+from suspnet.trains.spectra.hat_functions import hat_functions
 from suspnet.trains.spectra.subspace import SpectralMatrix
 
 ROUNDS = 4
@@ -35,6 +45,8 @@ ROUNDS = 4
 their standard deviation at most (12 draws of tests/spectra/test_noise_subspace.py)."""
 LEAST_NOISE = 1e-3
 """Least noise of a sensor over that of the first round."""
+SPACING_HZ = 2.0
+"""Distance of the frequencies between which shares of dampers' forces are interpolated."""
 SMOOTH_BINS = 9
 """Bins over which the density of an input is averaged."""
 
@@ -58,14 +70,38 @@ class Leakage:
 
 
 @dataclass(frozen=True)
-class TripNoise:
-    """Noise of the sensors (m,) [(m/s^2)^2/Hz], and shares of what excites wheelsets alone (k,).
+class DamperForces:
+    """What dampers do to the sensors with forces that their linear laws do not explain.
 
-    `matrix` is N, (n_freq, m, m) [(m/s^2)^2/Hz].
+    `frequencies_hz` are the bins (n_freq,), `changes` the H_d of each kind of dampers,
+    (n_dampers, p, m, n_freq).
+    """
+
+    frequencies_hz: Tensor
+    changes: Sequence[Tensor]
+
+    def patterns(self, densities: Tensor) -> Tensor:
+        """Return the matrices that b_c(f) make N from, (n_kinds n_knots, n_freq, m, m).
+
+        `densities` (p, n_freq) are D.
+        """
+        hats = hat_functions(self.frequencies_hz, SPACING_HZ).T[:, :, None, None]
+        roots = densities.sqrt()[:, None]
+        pulls = [(changes * roots).flatten(0, 1).permute(2, 1, 0) for changes in self.changes]
+        return torch.cat([hats * (pull @ pull.mH) for pull in pulls])
+
+
+@dataclass(frozen=True)
+class TripNoise:
+    """Noise of the sensors (m,) [(m/s^2)^2/Hz], and the shares of other sources.
+
+    `shares` (k,) are those of what excites wheelsets alone, `of_forces` (n_kinds, n_knots) those of
+    dampers' forces. `matrix` is N, (n_freq, m, m) [(m/s^2)^2/Hz].
     """
 
     densities: Tensor
     shares: Tensor
+    of_forces: Tensor
     matrix: Tensor
 
 
@@ -75,12 +111,14 @@ def trip_noise(
     alone: Tensor,
     start: Tensor,
     leakage: Leakage | None = None,
+    forces: DamperForces | None = None,
 ) -> TripNoise:
     """Return the noise of a trip, given responses of the vehicle that are about right.
 
     `responses` (p, m, n_freq) are H, `alone` (k, n_wheelsets, m, n_freq) the h_kw of its first k
-    inputs, `start` (m,) the densities n of the first round; `leakage` None: bins hold none.
-    ValueError if there are not more averages than sensors.
+    inputs, `start` (m,) the densities n of the first round. Without `leakage`, bins hold
+    none; without `forces`, dampers are linear. ValueError if there are not more averages than
+    sensors.
     """
     p, m, _ = responses.shape
     if spectra.n_averages <= m:
@@ -91,11 +129,9 @@ def trip_noise(
     units = torch.diag_embed(torch.eye(m, dtype=torch.complex128))[:, None]
     own = torch.einsum("kwif,kwjf->kfij", alone, alone.conj())
     n_averages = spectra.n_averages
-    noise_model = TripNoise(
-        start, torch.zeros(len(alone)), torch.diag(start).expand(len(own[0]), m, m)
-    )
+    matrix = torch.diag(start).expand(len(own[0]), m, m)
     for _ in range(ROUNDS):
-        factor = torch.linalg.cholesky(noise_model.matrix.to(torch.complex128))
+        factor = torch.linalg.cholesky(matrix.to(torch.complex128))
         root = torch.linalg.inv(factor)
         white = root @ spectra.values @ root.mH
         power, vectors = torch.linalg.eigh(white)
@@ -106,7 +142,10 @@ def trip_noise(
         leaked = torch.zeros_like(white) if leakage is None else leakage.matrix(densities)
         target = target - left.mH @ leaked @ left
         alone_densities = densities[: len(alone), :, None, None]
-        patterns = torch.cat([units.expand(-1, len(own[0]), -1, -1), alone_densities * own])
+        sources = [units.expand(-1, len(own[0]), -1, -1), alone_densities * own]
+        if forces is not None:
+            sources.append(forces.patterns(densities))
+        patterns = torch.cat(sources)
         seen = left.mH @ patterns @ left
         sizes = seen.diagonal(dim1=-2, dim2=-1).real.mean(dim=(1, 2)).clamp(min=1e-300)
         columns = torch.view_as_real(seen / sizes[:, None, None, None]).flatten(1).T.numpy()
@@ -117,8 +156,9 @@ def trip_noise(
         noise = numbers[:m].maximum(LEAST_NOISE * start)
         shared = (numbers[m:, None, None, None] * patterns[m:]).sum(dim=0)
         matrix = torch.diag(noise) + shared + leaked
-        noise_model = TripNoise(noise, numbers[m:], matrix)
-    return noise_model
+    shares, of_forces = numbers[m:].split([len(alone), len(patterns) - m - len(alone)])
+    n_kinds = 1 if forces is None else len(forces.changes)
+    return TripNoise(noise, shares, of_forces.unflatten(0, (n_kinds, -1)), matrix)
 
 
 def _densities(white: Tensor, responses: Tensor) -> Tensor:

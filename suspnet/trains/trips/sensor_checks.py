@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any
 
@@ -10,10 +11,11 @@ from torch import Tensor
 from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.speeds import NoEstimateError, Speeds
 from suspnet.curves.welch import SegmentSpectra
-from suspnet.estimation.trip_settings import TripSettings
+from suspnet.estimation.trip_settings import N_HEALTHY, TripSettings
 from suspnet.ground.parameters import Direction
 from suspnet.ground.tensors import threads
 from suspnet.trains.fits.healthy_misfit import HealthySpectra
+from suspnet.trains.fits.worn_parts import expected_losses
 from suspnet.trains.identification.bogie_trips import (
     PARTS_OF_BOGIE,
     bogie_trip,
@@ -47,6 +49,17 @@ NO_DIRECTION = (
 )
 
 
+@dataclass(frozen=True)
+class ShownParts:
+    """A stretch that shows each part of a bogie, and the loss from which it would name each one.
+
+    `least_losses` are the `expected_losses` after ``N_HEALTHY`` trips like it, [-].
+    """
+
+    trip: BogieTrip
+    least_losses: Mapping[str, float]
+
+
 def check_sensors(
     recording: Recording,
     segments: SegmentSpectra,
@@ -54,8 +67,8 @@ def check_sensors(
     vehicle: Vehicle,
     estimate: EstimateSettings,
     settings: TripSettings,
-) -> tuple[tuple[str, ...], bool, str]:
-    """Return doubts about the sensors, whether they show each part, and where the frame's is.
+) -> tuple[tuple[str, ...], ShownParts | None, str]:
+    """Return doubts about the sensors, what they show of each part, and where the frame's is.
 
     The last is "axle" or "centre". `checked` are the segments of the steady parts, the longest
     first; `estimate` is bound to the vehicle. TripError if the signals contradict the places
@@ -87,7 +100,7 @@ def check_sensors(
         differences = difference_segments(recording, segments.welch)
         check_pairs(segments, differences, chosen, recording.paired, vehicle)
 
-    def check_parts() -> BogieTrip | None:
+    def check_parts() -> ShownParts | None:
         with contextlib.suppress(NoEstimateError):  # what can be read is said elsewhere
             return check_bogie(recording, vehicle, settings, ways, place)
         return None
@@ -95,9 +108,9 @@ def check_sensors(
     # all checks run, so that all problems are reported at once
     of_segments = [check_channel_order, *([check_sides] if any(recording.paired) else [])]
     each = [partial(check, chosen) for check in of_segments for chosen in checked]
-    *_, trip = all_of([*each, check_parts])
+    *_, shown_parts = all_of([*each, check_parts])
     frame_sensor = place.get("frame_sensor", "axle")
-    return tuple(dict.fromkeys(filter(None, doubts))), trip is not None, frame_sensor
+    return tuple(dict.fromkeys(filter(None, doubts))), shown_parts, frame_sensor
 
 
 def _frame_place(
@@ -135,8 +148,8 @@ def check_bogie(
     settings: TripSettings,
     ways: Sequence[Direction],
     place: Mapping[str, Any] | None = None,
-) -> BogieTrip | None:
-    """Return the stretch of a recording that shows each part of a bogie; None without the sensors.
+) -> ShownParts | None:
+    """Return what a recording shows of each part of a bogie; None without the sensors.
 
     NoEstimateError if no stretch is long enough, TripError if two of the sensors look swapped, or
     are at another bogie or axle than the manifest says. `ways` are the directions of travel of the
@@ -155,7 +168,7 @@ def check_bogie(
     if manifest.direction:  # else that which the phases show assumes the bogie
         check_end(unknown, trip, fit=fit)
     check_order(unknown, trip, nearly=NEARLY, fit=fit)
-    return trip
+    return ShownParts(trip, expected_losses(unknown, trip, N_HEALTHY))
 
 
 def _measured_at(manifest: TripManifest) -> dict[str, Any]:
