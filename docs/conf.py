@@ -54,7 +54,10 @@ highlight_language = "none"
 copybutton_prompt_text = r">>> |\.\.\. "
 copybutton_prompt_is_regexp = True
 
+# the data of the measured rig are no part of the repository
+HAS_SHELF = any((folder / "shared" / "real" / "shelf").is_dir() for folder in ROOT.parents)
 sphinx_gallery_conf = {
+    "ignore_pattern": "__init__" if HAS_SHELF else "plot_rig",
     "examples_dirs": "../examples",
     "gallery_dirs": "gallery",
     "backreferences_dir": "generated/examples_of",

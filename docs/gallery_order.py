@@ -7,6 +7,7 @@ ORDER = (
     "plot_identifiability.py",
     "plot_recording.py",
     "plot_commissioning.py",
+    "plot_rig.py",
     "plot_maintenance.py",
     "plot_sweep.py",
 )

@@ -9,16 +9,20 @@ from typing import Any
 from suspnet._version import __version__ as __version__
 
 _NAMES = {
-    "cli.kinds": "read_protocol read_vehicles",
+    "cli.kinds": "read_protocol read_rigs read_vehicles",
     "cli.plugins": "register_features register_method",
     "vehicle.quarter_car": "QuarterCar",
+    "vehicle.rig": "Rig",
     "vehicle.spatial_vehicle": "SpatialVehicle",
     "vehicle.vehicle": "Vehicle",
     "vehicle.vertical_vehicle": "VerticalVehicle",
     "trains.fits.bogie_fit": "PartsEstimate commission_bogie fit_parts",
     "trains.identification.bogie_trips": "bogie_trip",
+    "trains.identification.rig_records": "RigRecord commission_rig load_record read_rig",
     "estimation.checkpoint": "load_model save_model",
     "estimation.commissioned_bogie": "CommissionedBogie",
+    "estimation.commissioned_rig": "CommissionedRig RigEstimate",
+    "estimation.rig_files": "load_rig save_rig",
     "trains.fits.commissioning": "Commissioned commission",
     "estimation.estimate": "Estimate",
     "estimation.fitted": "ModelFileError",

@@ -4,6 +4,7 @@ from suspnet._version import __version__ as __version__
 from suspnet.bounds.information import cramer_rao as cramer_rao
 from suspnet.bounds.information import fisher_information as fisher_information
 from suspnet.cli.kinds import read_protocol as read_protocol
+from suspnet.cli.kinds import read_rigs as read_rigs
 from suspnet.cli.kinds import read_vehicles as read_vehicles
 from suspnet.cli.plugins import register_features as register_features
 from suspnet.cli.plugins import register_method as register_method
@@ -27,8 +28,12 @@ from suspnet.curves.welch import tfestimate as tfestimate
 from suspnet.estimation.checkpoint import load_model as load_model
 from suspnet.estimation.checkpoint import save_model as save_model
 from suspnet.estimation.commissioned_bogie import CommissionedBogie as CommissionedBogie
+from suspnet.estimation.commissioned_rig import CommissionedRig as CommissionedRig
+from suspnet.estimation.commissioned_rig import RigEstimate as RigEstimate
 from suspnet.estimation.estimate import Estimate as Estimate
 from suspnet.estimation.fitted import ModelFileError as ModelFileError
+from suspnet.estimation.rig_files import load_rig as load_rig
+from suspnet.estimation.rig_files import save_rig as save_rig
 from suspnet.estimation.trained import TrainedModel as TrainedModel
 from suspnet.estimation.trip_settings import TripSettings as TripSettings
 from suspnet.ground.parameters import COMPONENTS as COMPONENTS
@@ -57,6 +62,10 @@ from suspnet.trains.identification.bogie_trips import bogie_trip as bogie_trip
 from suspnet.trains.identification.healthy_trips import read_healthy as read_healthy
 from suspnet.trains.identification.layouts import LayoutBounds as LayoutBounds
 from suspnet.trains.identification.layouts import layout_bounds as layout_bounds
+from suspnet.trains.identification.rig_records import RigRecord as RigRecord
+from suspnet.trains.identification.rig_records import commission_rig as commission_rig
+from suspnet.trains.identification.rig_records import load_record as load_record
+from suspnet.trains.identification.rig_records import read_rig as read_rig
 from suspnet.trains.pages.maintenance_figures import plan_calendar as plan_calendar
 from suspnet.trains.recordings.errors import TripError as TripError
 from suspnet.trains.recordings.manifest_files import read_manifest as read_manifest
@@ -64,6 +73,7 @@ from suspnet.trains.recordings.recording import Recording as Recording
 from suspnet.trains.recordings.recording import load_recording as load_recording
 from suspnet.trains.spectra.bogie_trip import BogieTrip as BogieTrip
 from suspnet.vehicle.quarter_car import QuarterCar as QuarterCar
+from suspnet.vehicle.rig import Rig as Rig
 from suspnet.vehicle.spatial_vehicle import SpatialVehicle as SpatialVehicle
 from suspnet.vehicle.vehicle import Vehicle as Vehicle
 from suspnet.vehicle.vertical_vehicle import VerticalVehicle as VerticalVehicle

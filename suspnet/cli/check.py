@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from suspnet.cli.config_files import own_vehicles
-from suspnet.cli.kinds import named_runs, vehicles_with
+from suspnet.cli.kinds import named_runs, read_rigs, vehicles_with
 from suspnet.cli.typed_words import listed
 from suspnet.curves.estimates import WIDE_SPEED_HALF_WIDTH
 from suspnet.curves.speeds import SpeedRange, covering, setting_words
@@ -41,10 +41,12 @@ def check(arguments: Namespace) -> int:
         check_number("--workers", arguments.workers, low=1, whole=True)
     options = vehicles_with(arguments.config_dir)
     vehicles = {vehicle.name: vehicle for vehicle in options.values()}
+    rigs = read_rigs(arguments.config_dir) if arguments.config_dir else {}
     models = [load_model(run) for run in named_runs(arguments.run or [])]
     output = _folder(arguments.output)
     pictures = None if arguments.no_pictures else output
-    settings = CheckSettings(vehicles, pictures=pictures, models=models)
+    of_rigs = {rig.name: rig for rig in rigs.values()}
+    settings = CheckSettings(vehicles, of_rigs, pictures=pictures, models=models)
     paths, elsewhere = find_trips(arguments.trips)
     with progress.on_stderr():
         n_workers = workers_for(len(paths), arguments.workers)
@@ -54,7 +56,7 @@ def check(arguments: Namespace) -> int:
         page = write_checks(checks, elsewhere, output)
     print(f"{summary(checks, elsewhere)}\n-> {page}")
     code = exit_code(checks, elsewhere)
-    names = {vehicle.name for vehicle in options.values()}
+    names = {vehicle.name for vehicle in options.values()} | set(of_rigs)
     for line in next_steps(arguments, checks, names, code):
         print(printable(line))
     return code
@@ -131,12 +133,17 @@ def next_steps(
         *(f"healthy={folder}", f"n_healthy={n_healthy}"),
         *(["generator.frame_sensor=centre"] if at_centre else []),
     ]
-    if not shows_parts:  # a bogie is read at any speed
+    of_rig = all(check.is_rig for check in checks)
+    if not shows_parts and not of_rig:  # a bogie is read at any speed
         train += _speeds_beyond_healthy(ready_of, n_healthy)
+    of_each = "trips of each suspension by mileage are taken as healthy; give as many as were run "
+    named = "before any wear, {NAME:number} of each"
+    if of_rig:
+        of_each = "records by start, or else by name, are taken as healthy; give as many as were "
+        named = "made before any change"
     return [
         f"{when}: {command('train', *train)}",
-        f"  n_healthy={n_healthy}: the first {n_healthy} trips of each suspension by mileage are "
-        "taken as healthy; give as many as were run before any wear, {NAME:number} of each",
+        f"  n_healthy={n_healthy}: the first {n_healthy} {of_each}{named}",
     ]
 
 

@@ -15,6 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 from suspnet.cli import program
 from suspnet.cli.folders import ACT, EXIT_CODE, FINE, NOTICE, SOME_WITHOUT_ESTIMATE, is_job, worst
 from suspnet.cli.kinds import board_settings, build, named_runs
+from suspnet.cli.rigs import evaluate_rig, is_rig_run
 from suspnet.estimation.checkpoint import load_model
 from suspnet.ground.extras import check_extra, optional
 from suspnet.ground.parameters import Severity
@@ -87,6 +88,8 @@ def _evaluate(config: DictConfig, history: Callable[[], History]) -> int:
         raise ValueError("which run? Give run=PATH, the folder of a run or of a whole multirun")
     if config.study is not None:
         return run_study(config, program.run_folder(), history)
+    if is_rig_run(config.run):
+        return evaluate_rig(config, program.run_folder())
     runs, output = named_runs(config.run), program.run_folder()
     program.save_config(config, output)
     if config.trips is not None:

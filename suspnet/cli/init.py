@@ -10,7 +10,9 @@ from suspnet.cli.config_files import is_shipped, own_vehicles
 from suspnet.ground.storage import printable, write_atomically
 from suspnet.ground.wording import command, count
 from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.recordings.manifest import rig_words
 from suspnet.trains.trips import folder_manifests as folders
+from suspnet.trains.trips.rig_manifests import as_record, as_said_for_trips
 from suspnet.trains.trips.trip_files import TripFiles, find_trip_files, read_table, table_of
 
 ASSUMED = {
@@ -46,7 +48,9 @@ def init(arguments: Namespace) -> int:
 
 def _write(paths: Sequence[Path], settings: Sequence[str], arguments: Namespace) -> int:
     # what is known of the trips: their files, the command line, and a table
-    table, keys = arguments.table, folders.read_settings(settings)
+    is_rig = _is_rig(settings, arguments.config_dir)
+    said = as_said_for_trips(settings) if is_rig else settings
+    table, keys = arguments.table, folders.read_settings(said)
     if len(paths) == 1 and paths[0].is_dir():
         if arguments.output:
             raise ValueError("--output is for the manifest of one trip; a folder's lie in it")
@@ -62,7 +66,16 @@ def _write(paths: Sequence[Path], settings: Sequence[str], arguments: Namespace)
         folder, trip_files = path.parent, [TripFiles(path, tuple(paths))]
     rows = read_table(table) if table and table.exists() else {}
     vehicles = arguments.config_dir or own_vehicles(keys.get("vehicle", ""))
-    trips = folders.folder_manifests(trip_files, folder, keys, rows, vehicles)
+    try:
+        trips = folders.folder_manifests(trip_files, folder, keys, rows, vehicles)
+    except ValueError as error:
+        if not is_rig or isinstance(error, TripError):
+            raise
+        words = str(error).replace(folders.OF_OTHER_AXLE, "").replace("one or two", "one")
+        raise ValueError(rig_words(words)) from error
+    if is_rig:
+        trips = [as_record(trip) for trip in trips]
+    noun = "record" if is_rig else "trip"
     # a manifest may have been edited by hand, so it is replaced on request only
     new = [trip for trip in trips if arguments.force or not os.path.lexists(trip.path)]
     missing = list(dict.fromkeys(key for trip in new for key in trip.missing))
@@ -71,7 +84,7 @@ def _write(paths: Sequence[Path], settings: Sequence[str], arguments: Namespace)
     wrong = _unknown_vehicles(vehicles, new)
     # write all manifests or none: a folder half done would be checked and trained as it is
     if missing or wrong:
-        print(f"{count(len(new), 'trip')} in {folder}; nothing is written yet; ", end="")
+        print(f"{count(len(new), noun)} in {folder}; nothing is written yet; ", end="")
         print(f"these are {'missing or wrong' if wrong else 'missing'}:", *wrong, sep="\n")
         for key in missing:
             without = [trip for trip in new if key in trip.missing]
@@ -85,28 +98,45 @@ def _write(paths: Sequence[Path], settings: Sequence[str], arguments: Namespace)
             print(f"-> {table}: fill in its columns, then run the same command again")
         right = [word for word in settings if not (wrong and word.startswith("vehicle="))]
         again = f"{command('init', *paths, *right)} KEY=VALUE ... {printable(join(options))}"
-        print(*_assumed(new), f"say each once for all trips: {again.rstrip()}", sep="\n")
+        print(
+            *([] if is_rig else _assumed(new)),
+            f"say each once for all trips: {again.rstrip()}",
+            sep="\n",
+        )
         return 1
     for trip in new:
         write_atomically(trip.path, trip.text, force=arguments.force)
     n_old = len(trips) - len(new)
     old = f"; {count(n_old, 'manifest')} left as they were, --force replaces them" if n_old else ""
-    print(f"-> {folder}: {count(len(new), 'manifest')} of {count(len(trip_files), 'trip')}{old}")
+    print(f"-> {folder}: {count(len(new), 'manifest')} of {count(len(trip_files), noun)}{old}")
     for line in folders.origins(new):
         print(printable(f"  {line}"))
     checked = folder if paths == [folder] else trip_files[0].path
-    print(*_assumed(new), sep="\n")
+    if not is_rig:
+        print(*_assumed(new), sep="\n")
     print(f"then run: {command('check', checked, *of_vehicles)}")
     return 0
+
+
+def _is_rig(words: Sequence[str], config_dir: Path | None) -> bool:
+    """Return whether the vehicle that KEY=VALUE names is a rig of the user's."""
+    name = next((word.partition("=")[2] for word in words if word.startswith("vehicle=")), "")
+    folder = config_dir or own_vehicles(name)
+    if not name or folder is None:
+        return False
+    from suspnet.cli.kinds import read_rigs  # with Hydra
+
+    return name in {rig.name for rig in read_rigs(folder).values()}
 
 
 def _unknown_vehicles(folder: Path | None, trips: Sequence[folders.Trip]) -> list[str]:
     """Return a line on each vehicle of the trips that neither the folder nor suspnet has."""
     names: set[str] = set()
     if folder is not None:
-        from suspnet.cli.kinds import vehicles_with  # with Hydra
+        from suspnet.cli.kinds import read_rigs, vehicles_with  # with Hydra
 
         names = {vehicle.name for vehicle in vehicles_with(folder).values()}
+        names |= {rig.name for rig in read_rigs(folder).values()}
     stated = dict.fromkeys(t.stated["vehicle"] for t in trips if "vehicle" in t.stated)
     return [
         printable(

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from suspnet.curves.protocols import Protocol
     from suspnet.trains.pages.board import BoardSettings
     from suspnet.vehicle import Vehicle
+    from suspnet.vehicle.rig import Rig
 
 KINDS: dict[str, dict[str, str | type]] = {
     "data": {
@@ -60,7 +61,7 @@ KINDS: dict[str, dict[str, str | type]] = {
     "scenario": {"": "suspnet.trains.simulation.fleet.Scenario"},
     "search": {"": "suspnet.learning.search.GridSearch"},
     "trips": {"": "suspnet.estimation.trip_settings.TripSettings"},
-    "vehicle": {"": "suspnet.vehicle.Vehicle"},
+    "vehicle": {"": "suspnet.vehicle.Vehicle", "rig": "suspnet.vehicle.rig.stated_rig"},
 }
 """Kinds and the class of each, by the key below which the object is configured; a class itself
 where ``suspnet.register_method`` has added it."""
@@ -151,14 +152,30 @@ def _built(values: Mapping[str, Any], name: str, vehicle: str | None = None) -> 
 def read_vehicles(folder: str | Path = CONFIGS) -> dict[str, Vehicle]:
     """Return the vehicles in the group `vehicle` of a folder, by file name.
 
-    Nothing else is built from the files, and interpolations are not resolved.
+    Rigs are left out. Nothing else is built from the files, and interpolations are not resolved.
 
     Raises
     ------
     FileNotFoundError, TypeError, ValueError
         If the folder has no ``vehicle/NAME.yaml``, or a number of one is missing or wrong.
     """
-    vehicles: dict[str, Vehicle] = {}
+    return {key: v for key, v in _every_vehicle(folder).items() if not _is_rig(v)}
+
+
+def read_rigs(folder: str | Path) -> dict[str, Rig]:
+    """Return the rigs in the group `vehicle` of a folder, by file name; raises as `read_vehicles`.
+
+    They are the files with ``kind: rig``.
+    """
+    return {key: v for key, v in _every_vehicle(folder).items() if _is_rig(v)}
+
+
+def _is_rig(vehicle: Vehicle | Rig) -> bool:
+    return type(vehicle).__name__ == "Rig"
+
+
+def _every_vehicle(folder: str | Path) -> dict[str, Any]:
+    vehicles: dict[str, Any] = {}
     for file, numbers in _vehicle_files(folder):
         try:
             vehicles[file.stem] = _built(numbers, "vehicle")

@@ -24,6 +24,7 @@ from suspnet.cli.commission_fleet import (
     train_fleet,
 )
 from suspnet.cli.kinds import build
+from suspnet.cli.rigs import is_rig, train_rig
 from suspnet.curves.estimates import SPEED_HALF_WIDTH, WIDE_SPEED_HALF_WIDTH, EstimateSettings
 from suspnet.curves.problem import Problem
 from suspnet.curves.speeds import SpeedRange, covering, setting_words
@@ -81,6 +82,9 @@ def main(config: DictConfig) -> None:
     check_language(config.language)
     program.n_threads(config.threads)  # healthy trips are fitted before the models are
     config.n_healthy = read_numbers(config.n_healthy)
+    if is_rig(config):
+        train_rig(config, program.run_folder())
+        return
     folder, groups = program.run_folder(), suspensions(config)
     if len(groups) == 1:
         config = of_group(config, groups[0])

@@ -80,11 +80,13 @@ def evaluate(
 def find_runs(path: Path) -> list[Path]:
     """Return the folders with a model at or below `path`: one run, or all of a multirun.
 
-    FileNotFoundError if there is none.
+    FileNotFoundError if there is none, ValueError if it is that of a rig.
     """
     if not path.exists():
         raise FileNotFoundError(f"run={path} does not exist")
     runs = sorted(file.parent for file in path.rglob("model.json"))
+    if not runs and (path / "rig.json").is_file():
+        raise ValueError(f"run={path} holds a rig: evaluate with trips=DIR alone reads its records")
     if not runs:
         raise FileNotFoundError(f"run={path} holds no model.json; is it the folder of a run?")
     return runs

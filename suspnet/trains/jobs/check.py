@@ -20,6 +20,7 @@ from suspnet.ground.findings import Finding, together, with_values, without
 from suspnet.ground.records import ERROR, OK
 from suspnet.trains.identification.bogie_trips import sensor_places, show_parts
 from suspnet.trains.identification.from_recording import no_channel
+from suspnet.trains.identification.rig_records import exchanged, loaded, read_record, reading_of
 from suspnet.trains.pages.check_page import (
     NEED_A_VEHICLE,
     PROBLEM,
@@ -32,7 +33,7 @@ from suspnet.trains.pages.check_page import (
 )
 from suspnet.trains.recordings.errors import TripError, all_of
 from suspnet.trains.recordings.formats import open_columns
-from suspnet.trains.recordings.manifest import CHANNELS, TripManifest
+from suspnet.trains.recordings.manifest import CHANNELS, RecordManifest, TripManifest
 from suspnet.trains.recordings.manifest_files import ManifestFile
 from suspnet.trains.recordings.manifest_sources import channel_of
 from suspnet.trains.recordings.recording import Recording, load_recording
@@ -47,6 +48,7 @@ from suspnet.trains.trips.commissionings import models_at, models_of
 from suspnet.trains.trips.sensor_checks import NO_DIRECTION, check_bogie, check_sensors
 from suspnet.trains.trips.trip import evaluate_recording
 from suspnet.vehicle import Vehicle, best_generator
+from suspnet.vehicle.rig import Rig
 
 log = logging.getLogger(__name__)
 UNKNOWN_BAND_HZ = (0.5, 20.0)
@@ -59,12 +61,13 @@ Opened = dict[tuple[Path, str | None, str | None], tuple[str, ...]]
 class CheckSettings:
     """How trips are checked.
 
-    `vehicles` are known vehicles by the names that manifests use; `pictures` is the folder of the
-    pictures (None: no pictures). A trip is ready if `models` read it, or, without models, if a
-    model of its speed would.
+    `vehicles` and `rigs` are known ones by the names that manifests use; `pictures` is the folder
+    of the pictures (None: no pictures). A trip is ready if `models` read it, or, without models, if
+    a model of its speed would.
     """
 
     vehicles: Mapping[str, Vehicle]
+    rigs: Mapping[str, Rig] = field(default_factory=dict)
     trips: TripSettings = field(default_factory=TripSettings)
     pictures: Path | None = None
     models: Sequence[Model] = ()
@@ -84,6 +87,8 @@ def check_trip(
         file = ManifestFile(path)
         manifest, _ = all_of([lambda: file.trip, lambda: _check_columns(file, opened)])
         result = _described(path, manifest)
+        if isinstance(manifest, RecordManifest):
+            return _of_rig(result, manifest, settings)
         recording = load_recording(manifest, settings.trips.rate_hz)
         return _inspected(result, recording, settings, picture)
     except TripError as error:
@@ -202,6 +207,39 @@ def _inspected(
         return _with_problems(result, error.problems)
     result = _with_remarks(result, *doubts, frame_sensor=frame_sensor)
     return result if shown is None else replace(result, least_losses=shown.least_losses)
+
+
+def _of_rig(result: TripCheck, manifest: RecordManifest, settings: CheckSettings) -> TripCheck:
+    """Return the check of a record of a rig."""
+    record, rig = loaded(manifest), settings.rigs.get(manifest.vehicle)
+    assert record.usable is not None
+    result = _with_remarks(
+        result,
+        record.faults,
+        duration_s=record.signals.shape[1] / record.rate_hz,
+        usable_percent=100 * float(record.usable.mean()),
+        unchecked=rig is None,
+        is_rig=True,
+    )
+    if rig is None:
+        unknown = f"the numbers of the rig {manifest.vehicle!r} are not known"
+        return _with_remarks(result, unknown, state=TOO_LITTLE)
+    result = replace(result, band_hz=rig.band_hz)
+    try:
+        if order := exchanged(rig, record):
+            return _with_problems(
+                result,
+                [f"sensors look exchanged: base, frame and body fit far better as {order}"],
+            )
+        values = read_record(rig, record, *reading_of(rig, [record])).values
+    except NoEstimateError as reason:
+        return _with_remarks(result, str(reason), state=TOO_LITTLE)
+    return _with_remarks(
+        result,
+        f"frame alone at {values['primary_hz']:.3g} Hz, body alone at "
+        f"{values['secondary_hz']:.3g} Hz",
+        state=READY,
+    )
 
 
 def _vehicle(

@@ -74,7 +74,7 @@ class TripCheck:
     not known, so that ``NEED_A_VEHICLE`` are not checked. `least_losses` are those from which a
     trip like this would name each part of the bogie (`expected_losses`), empty without sensors that
     show the parts. `label` is its name among trips of several folders, `frame_sensor` where the
-    frame's sensor looks to be.
+    frame's sensor looks to be. `is_rig`: it is a record of a rig.
     """
 
     manifest: Path
@@ -97,6 +97,7 @@ class TripCheck:
     least_losses: Mapping[str, float] = field(default_factory=dict)
     label: str = ""
     frame_sensor: str = "axle"
+    is_rig: bool = False
 
     @property
     def shows_parts(self) -> bool:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 from suspnet.ground.findings import Finding, of
 from suspnet.ground.parameters import DIRECTIONS, ENDS, ESTIMATED, SIDES
@@ -35,8 +35,12 @@ from suspnet.trains.recordings.manifest_sources import (
 )
 
 FORMAT = "suspnet-trip-1"
+RECORD_FORMAT = "suspnet-record-1"
+"""Format of a record of a rig, which does not travel."""
 CHANNELS = ("axle_box", "bogie", "body")
 """The three vertical accelerometers, in the order of every array of signals."""
+RIG_CHANNELS = ("base", "frame", "body")
+"""Names of ``CHANNELS`` in the manifests of rigs."""
 LEAST_SENSORS = 4
 """Least number of sensors that show each spring and damper: one more than the unknown spectra of
 the track, those of elevation, cross level and alignment."""
@@ -140,6 +144,8 @@ class TripManifest:
     times. A constant `speed` is in m/s. `channels` has one sensor or several for ``CHANNELS``.
     """
 
+    shortest_s: ClassVar[float] = 60.0
+    """Shortest length of a recording, [s]."""
     path: Path
     name: str
     vehicle: str = required(check.name, NAME, "name of the vehicle, as the model's")
@@ -288,3 +294,46 @@ MANIFEST = {"format": ManifestKey(check.one_of([FORMAT]), "text", f"`{FORMAT}`")
     TripManifest
 )
 """All keys of a manifest, by name."""
+
+
+def _rig_channels(value: Value) -> dict[str, SensorSource | Several]:
+    """Return the sensor of each of ``CHANNELS`` from those of ``RIG_CHANNELS``."""
+    single = ManifestKey(check.mapping_of(SensorSource), "", "")
+    read = value.read(dict.fromkeys(RIG_CHANNELS, single))
+    return dict(zip(CHANNELS, read.values(), strict=True))
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordManifest(TripManifest):
+    """One record of a rig: accelerometers on base, frame and body.
+
+    Base, frame and body are the channels ``CHANNELS`` of the recording. The rig stands, and has no
+    mileage.
+    """
+
+    shortest_s: ClassVar[float] = 1.0
+    suspension: str = "rig"
+    mileage_km: float = float("nan")
+    speed: float = 0.0
+
+    def where(self, name: str) -> str:
+        """Return file and source, as errors name them."""
+        return of(self.path, Finding("channel", name=repr(rig_words(name))))
+
+
+def rig_words(text: str) -> str:
+    """Return a text with the names of ``RIG_CHANNELS`` for those of ``CHANNELS``."""
+    for ours, theirs in zip(CHANNELS, RIG_CHANNELS, strict=True):
+        text = text.replace(ours, theirs)
+    return text
+
+
+_SHARED = ("start", "temperature_c", "truth")
+RECORD = {
+    "format": ManifestKey(check.one_of([RECORD_FORMAT]), "text", f"`{RECORD_FORMAT}`"),
+    "vehicle": ManifestKey(check.name, NAME, "name of the rig, as the model's"),
+    "channels": ManifestKey(
+        _rig_channels, "mapping", "`base`, `frame` and `body`: the source of each"
+    ),
+} | {name: MANIFEST[name] for name in _SHARED}
+"""All keys of the manifest of a record, by name."""

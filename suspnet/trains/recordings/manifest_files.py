@@ -17,7 +17,14 @@ from suspnet.ground.records import MOST_NAME, Place
 from suspnet.ground.storage import one_line, read_json, read_plain, why, write_atomically
 from suspnet.ground.wording import command
 from suspnet.trains.recordings.errors import TripError, all_of, opening
-from suspnet.trains.recordings.manifest import FORMAT, MANIFEST, TripManifest
+from suspnet.trains.recordings.manifest import (
+    FORMAT,
+    MANIFEST,
+    RECORD,
+    RECORD_FORMAT,
+    RecordManifest,
+    TripManifest,
+)
 from suspnet.trains.recordings.manifest_sources import Value, keys_of
 
 NAMES = ("vehicle", "suspension", "train", "car")
@@ -140,9 +147,15 @@ def read_manifest(path: str | Path) -> TripManifest:
 
 
 def _parsed(path: Path, content: Any) -> TripManifest:
-    values = Value(path, "", content).read(MANIFEST)
+    of_rig = is_of_rig(content)
+    values = Value(path, "", content).read(RECORD if of_rig else MANIFEST)
     del values["format"]
-    return TripManifest(path=path, name=path.stem, **values)
+    return (RecordManifest if of_rig else TripManifest)(path=path, name=path.stem, **values)
+
+
+def is_of_rig(content: Any) -> bool:
+    """Return whether the content of a manifest is that of a rig's record; nothing is checked."""
+    return isinstance(content, dict) and content.get("format") == RECORD_FORMAT
 
 
 def _with_file(source: Any) -> Any:

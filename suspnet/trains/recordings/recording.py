@@ -46,8 +46,6 @@ MOST_AT_ONCE = 2
 """Number of sensors that are read in parallel, which bounds the memory."""
 NO_DEAD: Mapping[str, str] = {}
 """No sensor is dead."""
-SHORTEST_S = 60.0
-"""Shortest length of a recording, [s]."""
 HIGHEST_HZ = 1e6
 """Highest rate of a sensor [Hz]; the length of the decimation filter grows with the rate."""
 
@@ -164,9 +162,9 @@ def load_recording(manifest: TripManifest, rate_hz: float = 100.0) -> Recording:
     Signals are flat within 1e-4 up to a quarter of `rate_hz`.
 
     Raises TripError if a file cannot be read, a rate is lower than `rate_hz`, too many sensors are
-    constant or have no usable sample, less than ``SHORTEST_S`` is common to all sensors, times are
-    wrong, or the speed is unknown throughout; its `problems` are those of all sensors and the
-    speed. ValueError if `rate_hz` is not positive and finite.
+    constant or have no usable sample, less than the manifest's ``shortest_s`` is common to all
+    sensors, times are wrong, or the speed is unknown throughout; its `problems` are those of all
+    sensors and the speed. ValueError if `rate_hz` is not positive and finite.
     """
     check_number("rate_hz", rate_hz, above=0)
     sensors = manifest.sensors()
@@ -288,7 +286,7 @@ def _common(
     manifest: TripManifest, streams: Sequence[SensorSignal], rate_hz: float
 ) -> tuple[int, int]:
     common_s = min(s.end_s for s in streams) - max(s.start_s for s in streams)
-    if common_s < SHORTEST_S - 1 / rate_hz:
+    if common_s < manifest.shortest_s - 1 / rate_hz:
         spans = together(
             (
                 Finding("stream-between", name=s.name, start_s=s.start_s, end_s=s.end_s)
@@ -296,7 +294,7 @@ def _common(
             ),
             ", ",
         )
-        times = {"common_s": max(common_s, 0.0), "shortest_s": SHORTEST_S}
+        times = {"common_s": max(common_s, 0.0), "shortest_s": manifest.shortest_s}
         raise TripError.at(manifest.path, "too-little-in-common", **times, spans=spans)
     first = max(stream.first for stream in streams)
     return first, min(stream.first + len(stream.values) for stream in streams) - 1

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -67,21 +68,47 @@ class Explained:
         residuals, rows = misfit.free(self.responses)
         noise = rows @ self.noise @ rows.mH
         target = residuals @ residuals.mH / 2 - p * noise
-        power = noise.diagonal(dim1=-2, dim2=-1).real
-        # a diagonal element is real and scatters as much as both parts of another one
-        parts = (1 + torch.eye(power.shape[1], dtype=power.dtype)) / 2
-        scatter = (p * parts * power[:, :, None] * power[:, None, :]).sqrt()
         patterns = torch.einsum("fai,fbi->fiab", rows, rows.conj())
         patterns = patterns * (p * n * self.spectra.densities)[:, :, None, None]
-        deviations = torch.stack([scatter, scatter], dim=-1)
-        return _flat(target), deviations.flatten(1), _flat(patterns)
+        return equations_of(target, noise, patterns, p)
+
+
+def equations_of(
+    target: Tensor, noise: Tensor, patterns: Tensor, p: int = 1
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return complex matrices (..., n, n) as `Explained.rest` does; `noise`: of one input."""
+    power = noise.diagonal(dim1=-2, dim2=-1).real
+    # a diagonal element is real and scatters as much as both parts of another one
+    parts = (1 + torch.eye(power.shape[1], dtype=power.dtype)) / 2
+    scatter = (p * parts * power[:, :, None] * power[:, None, :]).sqrt()
+    deviations = torch.stack([scatter, scatter], dim=-1)
+    return _flat(target), deviations.flatten(1), _flat(patterns)
+
+
+class ExplainedTrip(Protocol):
+    """A trip or record with what its vehicle leaves of it, as of `Explained`."""
+
+    @property
+    def bins(self) -> Tensor:
+        """Numbers of its bins."""
+
+    @property
+    def sensors(self) -> Sequence[int]:
+        """Numbers of its sensors."""
+
+    def rest(self, squares: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return what errors must explain, its deviation by noise, and their patterns."""
 
 
 def model_errors(
-    frequencies_hz: Tensor, trips: Sequence[Explained], before: Tensor | None, n_sensors: int
+    frequencies_hz: Tensor,
+    trips: Sequence[ExplainedTrip],
+    before: Tensor | None,
+    n_sensors: int,
+    spacing_hz: float = SPACING_HZ,
 ) -> Tensor:
     """Return eps, (n_freq, n_sensors) [-]; `before` is that of an earlier round, None: 0."""
-    basis = hat_functions(frequencies_hz, SPACING_HZ)
+    basis = hat_functions(frequencies_hz, spacing_hz)
     zeros = torch.zeros(len(basis), n_sensors, dtype=torch.float64)
     squares = zeros if before is None else before**2
     n = basis.shape[1] * n_sensors

@@ -21,7 +21,7 @@ from suspnet.ground.wording import command
 from suspnet.trains.recordings.columns import size_of
 from suspnet.trains.recordings.errors import all_of
 from suspnet.trains.recordings.formats import READERS
-from suspnet.trains.recordings.manifest import CHANNELS, FORMAT
+from suspnet.trains.recordings.manifest import CHANNELS, FORMAT, RIG_CHANNELS
 from suspnet.trains.recordings.manifest_sources import MIDDLE, UNITS
 from suspnet.trains.trips.file_contents import (
     ACCELERATION,
@@ -59,6 +59,8 @@ MOST_SHOWN = 20
 """Largest number of columns that are offered for a channel."""
 OTHER = "@2"
 """End of the name of a column whose sensor is at the bogie's other axle."""
+OF_OTHER_AXLE = f", and likewise of those at the bogie's other axle, with {OTHER} at their end"
+"""What may be said besides the columns of a channel."""
 BY_COMMAND_LINE = "by the command line"
 """Source of a value that KEY=VALUE of the command line states."""
 HOW: Mapping[str, str] = {
@@ -171,9 +173,8 @@ def _check_columns(command_line: Mapping[str, str], trips: Sequence[Trip]) -> No
     for key, value in command_line.items():
         if key.startswith("channels.") and not any(_columns(key, value, t.signals) for t in trips):
             raise ValueError(
-                f"`{key}` must name one or two of the columns {names_of_columns(trips)}, and "
-                f"likewise of those at the bogie's other axle, with {OTHER} at their end; "
-                f"FILE:COLUMN is that of one file; got {value!r}"
+                f"`{key}` must name one or two of the columns {names_of_columns(trips)}"
+                f"{OF_OTHER_AXLE}; FILE:COLUMN is that of one file; got {value!r}"
             )
 
 
@@ -417,6 +418,8 @@ def how_to_say(key: str) -> str:
     """Return how a missing value is said."""
     if key in HOW:
         return HOW[key]
+    if key.removeprefix("channels.") in RIG_CHANNELS[:2]:
+        return f"{key}=COLUMN"
     pair = "LEFT,RIGHT for a pair"
     if not key.endswith(CHANNELS[2]):
         pair += f", or LEFT,RIGHT,LEFT{OTHER},RIGHT{OTHER} with those of the bogie's other axle"

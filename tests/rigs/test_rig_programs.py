@@ -1,0 +1,140 @@
+"""The programs on a rig: from files to a verdict, and wrong input in one line."""
+
+import csv
+import importlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_runner import typed as typed_in
+from rig_records import numbers, record
+
+TRUE = numbers(20.0, 25.0, 0.8, 0.01, 0.02)
+WORN = np.array([0.7, 1.0, 1.0, 1.0, 1.0])
+FILE = "kind: rig\nname: bench\nprimary_hz: 26\nsecondary_hz: 18\nbogie_mass_kg: 2\n"
+CHANNELS = ("channels.base=a0 [m/s2]", "channels.frame=a1 [m/s2]", "channels.body=a2 [m/s2]")
+
+
+def typed(*words):
+    """Run a program as if typed in the current folder."""
+    name, *arguments = words
+    return typed_in(importlib.import_module(f"suspnet.cli.{name}"), *arguments, cwd=Path())
+
+
+def write(folder, true, seeds):
+    folder.mkdir()
+    for seed in seeds:
+        signals = record(true, 200.0, 24.0, seed)
+        times = np.arange(signals.shape[1]) / 200.0
+        rows = np.column_stack([times, *signals])
+        header = "time [s],a0 [m/s2],a1 [m/s2],a2 [m/s2]"
+        np.savetxt(folder / f"r{seed}.csv", rows, "%.9g", ",", header=header, comments="")
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    vehicle = tmp_path / "rigs" / "vehicle" / "bench.yaml"
+    vehicle.parent.mkdir(parents=True)
+    vehicle.write_text(FILE)
+    return tmp_path
+
+
+def test_from_files_to_a_verdict(folder):
+    write(folder / "healthy", TRUE, range(3))
+    write(folder / "later", TRUE * WORN, [7])
+    asked = typed("init", "healthy", "vehicle=bench")
+    assert asked.returncode == 1
+    assert "channels.base: channels.base=COLUMN" in asked.stdout
+    assert "mileage" not in asked.stdout
+    for name in ("healthy", "later"):
+        written = typed("init", name, "vehicle=bench", *CHANNELS)
+        assert written.returncode == 0, written.stdout + written.stderr
+    checked = typed("check", "healthy", "--config-dir", "rigs", "--no-pictures")
+    assert checked.returncode == 0, checked.stdout
+    assert "3 of 3 trips ready" in checked.stdout
+    assert "frame alone at 20 Hz, body alone at 25 Hz" in checked.stdout
+    assert "suspnet train --config-dir rigs healthy=healthy n_healthy=3" in checked.stdout
+    trained = typed("train", "--config-dir", "rigs", "healthy=healthy", "hydra.run.dir=run")
+    assert trained.returncode == 0, trained.stderr
+    assert "bench: 3 healthy records" in trained.stdout + trained.stderr
+    found = json.loads(Path("run/commissioning.json").read_text())
+    assert found["healthy"]["primary_hz"]["value"] == pytest.approx(20.0, rel=0.01)
+    assert found["healthy_si"]["k_p"] == pytest.approx(2 * TRUE[0], rel=0.01)
+    read = typed("evaluate", "trips=later", "run=run", "hydra.run.dir=out")
+    assert read.returncode == 4, read.stderr
+    (row,) = csv.DictReader(Path("out/records.csv").read_text().splitlines())
+    assert float(row["k_p_low"]) < 0.7 < float(row["k_p_high"])
+    assert row["verdict"] == "act"
+    limits = ["monitor.limits.k_p.notice=[0.5,2]", "monitor.limits.k_p.act=[0.5,2]"]
+    wide = typed("evaluate", "trips=later", "run=run", "hydra.run.dir=wide", *limits)
+    assert wide.returncode == 0, wide.stderr
+    again = typed("evaluate", "trips=healthy", "run=run", "hydra.run.dir=again")
+    assert again.returncode == 0, again.stderr
+    assert json.loads(Path("again/records.json").read_text())["records"][0]["verdict"] == "none"
+
+
+def test_mistakes_are_one_line(folder):
+    write(folder / "healthy", TRUE, [0])
+    assert typed("init", "healthy", "vehicle=bench", *CHANNELS).returncode == 0
+    trained = typed("train", "--config-dir", "rigs", "healthy=healthy")
+    assert one_line(trained) == "error: 1 healthy records are given, at least 3 are needed"
+    assert "give --config-dir DIR" in one_line(typed("train", "healthy=healthy"))
+    assert "give healthy=DIR" in one_line(typed("train", "--config-dir", "rigs", "vehicle=bench"))
+    assert "`speed` is not known for a rig" in one_line(
+        typed("init", "healthy", "vehicle=bench", "speed=3", "--force")
+    )
+    manifest = folder / "healthy" / "r0.yaml"
+    text = manifest.read_text()
+    manifest.write_text(text.replace("vehicle: bench", "vehicle: other"))
+    trained = typed("train", "--config-dir", "rigs", "healthy=healthy", "vehicle=bench")
+    assert "the record is of 'other', the rig is 'bench'" in one_line(trained)
+    manifest.write_text(text + "mileage_km: 3\n")
+    trained = typed("train", "--config-dir", "rigs", "healthy=healthy")
+    assert "mileage_km" in one_line(trained)
+    (folder / "rigs" / "vehicle" / "bench.yaml").write_text("kind: rig\nname: bench\n")
+    trained = typed("train", "--config-dir", "rigs", "healthy=healthy", "vehicle=bench")
+    assert "`vehicle.primary_hz` is missing" in one_line(trained)
+
+
+def one_line(ended):
+    """Return the only line of a program's errors; it has failed."""
+    assert ended.returncode == 1, ended.stdout
+    lines = [line for line in ended.stderr.strip().splitlines() if line.startswith("error:")]
+    assert len(lines) == 1, ended.stderr
+    assert "Traceback" not in ended.stderr
+    return lines[0]
+
+
+def test_exchanged_sensors_are_named(folder):
+    write(folder / "healthy", TRUE, [0])
+    swapped = (CHANNELS[0], "channels.frame=a2 [m/s2]", "channels.body=a1 [m/s2]")
+    assert typed("init", "healthy", "vehicle=bench", *swapped).returncode == 0
+    checked = typed("check", "healthy", "--config-dir", "rigs", "--no-pictures")
+    assert checked.returncode == 1
+    assert "sensors look exchanged: base, frame and body fit far better as base, body, frame" in (
+        " ".join(checked.stdout.split())
+    )
+
+
+def test_record_without_an_estimate_harms_no_other(folder):
+    write(folder / "healthy", TRUE, range(3))
+    write(folder / "later", TRUE, [8])
+    lost = np.random.default_rng(0).standard_normal((4800, 4))
+    lost[:, 0] = np.arange(4800) / 200.0
+    header = "time [s],a0 [m/s2],a1 [m/s2],a2 [m/s2]"
+    np.savetxt(folder / "later" / "lost.csv", lost, "%.9g", ",", header=header, comments="")
+    for name in ("healthy", "later"):
+        assert typed("init", name, "vehicle=bench", *CHANNELS).returncode == 0
+    trained = typed("train", "--config-dir", "rigs", "healthy=healthy", "hydra.run.dir=run")
+    assert trained.returncode == 0, trained.stderr
+    read = typed("evaluate", "trips=later", "run=run", "hydra.run.dir=out")
+    assert read.returncode == 2, read.stderr
+    rows = {
+        row["record"]: row
+        for row in csv.DictReader(Path("out/records.csv").read_text().splitlines())
+    }
+    assert rows["lost"]["status"] == "no estimate"
+    assert "does not show k_p" in rows["lost"]["reason"]
+    assert rows["r8"]["status"] == "ok"
