@@ -216,7 +216,9 @@ def verdict(healthy: HealthyTrips, outcome: Commissioned) -> str:
 
 
 def of_parts(bogie: CommissionedBogie) -> str:
-    """Return a sentence on a bogie of which each part is read."""
+    """Return a sentence on a bogie of which each part is read, or all of a kind as equal."""
+    if not bogie.generator.shows_parts:
+        return Finding("kinds-are-read", misfit=bogie.misfit)
     healthy = dict(zip(bogie.healthy.names, bogie.healthy.values, strict=True))
     spreads = {}
     for kind, name in (("k", "springs"), ("c", "dampers")):
@@ -264,7 +266,7 @@ def errors_of_parts(bogie: CommissionedBogie, healthy: HealthyTrips) -> str:
 
 def reach_of_parts(bogie: CommissionedBogie) -> str:
     """Return a sentence on the loss from which parts are named, the worst of each kind."""
-    if bogie.scatter is None:
+    if bogie.scatter is None or not bogie.generator.shows_parts:
         return ""
     losses = least_losses(bogie)
     worst = {
