@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.curves.estimates import EstimateSettings
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.flags import INCOMPLETE, UNTRUSTED
 from suspnet.ground.findings import Finding, together
@@ -196,12 +195,6 @@ def unplaced(healthy: HealthyTrips) -> str | None:
     if not (names := healthy.manifests[0].unplaced):
         return None
     return Finding("sensors-unplaced", names=together(names, ", "))
-
-
-def usable_minutes(healthy: HealthyTrips, settings: EstimateSettings) -> float:
-    """Return about how many minutes of a trip are usable at one speed."""
-    usual = float(np.median([group.spectra.n_averages for group in healthy.groups]))
-    return settings.minutes * usual / settings.n_averages
 
 
 def verdict(healthy: HealthyTrips, outcome: Commissioned) -> str:
