@@ -49,7 +49,7 @@ def commission_trips(
     settings = settings.bound(generator.vehicle)
     for reason in healthy.left_out:
         log.warning("left out of the healthy trips: %s", reason)
-    return as_bogie(_prior(generator, healthy), settings, healthy.groups, bogie)
+    return as_bogie(prior_of(generator, healthy), settings, healthy.groups, bogie)
 
 
 # one thread: systems of 30 equations are too small for two, and results are the same anywhere
@@ -111,7 +111,7 @@ def check_generator(generator: ResponseGenerator) -> VerticalVehicle:
     return generator
 
 
-def _prior(generator: VerticalVehicle, healthy: HealthyTrips) -> VerticalVehicle:
+def prior_of(generator: VerticalVehicle, healthy: HealthyTrips) -> VerticalVehicle:
     """Return the generator with parts, sensor positions and a prior to start from."""
     # each channel's lateral position: 0 for a pair, else as given, else by its side
     manifest, given_m = healthy.manifests[0], generator.sensor_lateral_m
