@@ -39,10 +39,10 @@ from suspnet.ground.parameters import COMPONENTS, PARAMETERS
 from suspnet.ground.tensors import threads
 from suspnet.runs.predict import N_COST, WORN
 from suspnet.trains.fits.bogie_fit import commission_bogie, fit_parts
-from suspnet.trains.fits.commissioning import Commissioned
+from suspnet.trains.fits.commissioning import Commissioned, commission
 from suspnet.trains.identification.bogie_trips import SEGMENTS_S, bogie_trip, bogie_vehicle
 from suspnet.trains.identification.healthy_trips import read_healthy
-from suspnet.trains.jobs.commissioning import FAMILY, commission_trips
+from suspnet.trains.jobs.commissioning import FAMILY, prior_of
 from suspnet.trains.spectra.bogie_trip import BogieTrip
 from suspnet.trains.spectra.segments import sensor_segments
 from suspnet.trains.spectra.subspace import SpectralMatrix
@@ -144,7 +144,7 @@ def commissioned(case, folder, parts=FAMILY):
     groups = tuple(one for one in every.groups if one.trip < N_HEALTHY)
     healthy = replace(every, manifests=every.manifests[:N_HEALTHY], groups=groups)
     start = time.process_time()
-    outcome = commission_trips(healthy, generator, settings)
+    outcome = commission(prior_of(generator, healthy), settings.bound(vehicle), healthy.groups)
     return settings, outcome, every.groups, time.process_time() - start
 
 

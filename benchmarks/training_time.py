@@ -103,7 +103,7 @@ def stages_of(given, trips):
     bound = settings.bound(generator.vehicle)
     found = read_healthy(trips, generator, bound, TripSettings())
     times.append(time.perf_counter())
-    bogie = commission_parts(found, TripSettings()) if found.vehicle else None
+    bogie = commission_parts(found, TripSettings())
     times.append(time.perf_counter())
     outcome = commission_trips(found, generator, settings, bogie=bogie)
     times.append(time.perf_counter())

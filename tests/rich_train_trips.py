@@ -220,7 +220,11 @@ def _write(folder, fleet, index, ratios, drive, signals, sides, rngs, temperatur
         ]
     seconds = np.arange(math.floor(drive.journey.duration_s) + 1.0)
     _write_columns(folder / name / "speed.parquet", {"speed": drive.journey.at(seconds)[1]})
-    chosen = {name: found[sides == "right"] for name, found in channels.items() if sides != "pair"}
+    chosen = {
+        name: replace(found[sides == "right"], side=sides if sides in SIDES else None)
+        for name, found in channels.items()
+        if sides != "pair"
+    }
     path = write_manifest(
         TripManifest(
             path=folder / f"{name}.yaml",

@@ -22,7 +22,6 @@ from suspnet.cli.presets import of_healthy
 from suspnet.curves.curves import CurveSettings
 from suspnet.curves.problem import Problem
 from suspnet.estimation.checkpoint import save_model
-from suspnet.estimation.flags import COSTLY, INCOMPLETE
 from suspnet.learning import LinearRegression
 from suspnet.runs.fit import fit
 from suspnet.runs.predict import calibrated
@@ -184,16 +183,6 @@ def test_settings_of_the_generator_in_sentences_compose():
     with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
         for one in found:
             compose("train", ["experiment=trips", "generator=family", one])
-
-
-def test_threshold_of_the_misfit_is_that_of_the_code():
-    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
-    found = re.findall(r"[Aa]bove\s(\d\S+)\s\**(?:the\sphysics|a\ssensor)", text)
-    assert found == [f"{INCOMPLETE:g}"] * 3
-    costs = re.findall(
-        r"above 1 where the (?:rest|residual) could cost an output more than (\d+)", text
-    )
-    assert costs == [f"{100 * COSTLY:g}"] * 2
 
 
 def test_every_file_that_is_named_exists():

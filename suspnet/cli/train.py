@@ -5,11 +5,10 @@ from __future__ import annotations
 import logging
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig, ListConfig
 from sklearn.exceptions import ConvergenceWarning
@@ -25,25 +24,22 @@ from suspnet.cli.commission_fleet import (
 )
 from suspnet.cli.kinds import build
 from suspnet.cli.rigs import is_rig, train_rig
-from suspnet.curves.estimates import SPEED_HALF_WIDTH, WIDE_SPEED_HALF_WIDTH, EstimateSettings
+from suspnet.curves.estimates import SPEED_HALF_WIDTH, EstimateSettings
 from suspnet.curves.problem import Problem
-from suspnet.curves.speeds import SpeedRange, covering, setting_words
+from suspnet.curves.speeds import SpeedRange
 from suspnet.estimation.bogie_model import BogieModel
-from suspnet.estimation.flags import Residual
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.extras import optional
 from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
 from suspnet.ground.settings import check_choice
-from suspnet.ground.wording import command, span
+from suspnet.ground.wording import command
 from suspnet.runs.dataset import write_dataset
 from suspnet.runs.fit import check_hyperparameters
 from suspnet.runs.language import check_language, speaking
 from suspnet.runs.scores import Metrics
 from suspnet.runs.train import RunContext, speed_ranges, train, train_ranges
-from suspnet.vehicle import ResponseGenerator, VerticalVehicle
 
 with optional("trips"):  # `suspensions` says what is missing
-    from suspnet.trains.identification.commissioning_summary import usable_minutes
     from suspnet.trains.identification.healthy_trips import read_healthy
     from suspnet.trains.jobs.commissioning import (
         check_generator,
@@ -116,36 +112,27 @@ def _run(config: DictConfig, folder: Path, paths: Sequence[ManifestFile] | None 
     # refuse wrong settings before minutes of healthy trips and curves
     build(config, "protocol").task(config.group)
     check_hyperparameters(build(config, "model"))
-    healthy = _commissioned(_at_a_speed(config), folder, paths)
-    if isinstance(healthy, BogieModel):
+    commissioned = _commissioned(_at_a_speed(config), folder, paths)
+    if commissioned is not None:
         program.save_config(config, folder)
-        write_bogie_model(folder, healthy)
+        write_bogie_model(folder, commissioned)
         return
-    # speeds and directions are those asked for, else those of the healthy trips
     speeds = config.speed_m_per_s
     if speeds is None:
-        if healthy is None:
-            raise ValueError(NO_HEALTHY)
-        speeds = covering(healthy.speeds_m_per_s, _half_width(config))
-        ends = (f"{of(healthy.speeds_m_per_s):.1f}" for of in (min, max))
-        log.info("healthy trips at %s m/s: %s", span(*ends), setting_words(speeds))
-    if healthy is not None and config.data.minutes is None:
-        config.data.minutes = healthy.minutes
-        log.info("healthy trips have about %g usable minutes: so do training's", healthy.minutes)
-    directions = _directions(config, healthy)
-    train_one = partial(_train, healthy=healthy)
+        raise ValueError(NO_HEALTHY)
+    directions = _directions(config)
     if not isinstance(speeds, ListConfig | list) and len(directions) == 1:
         of_speed = config.copy()
         of_speed.speed_m_per_s = speeds
         if "speed_half_width" in of_speed.data:
             of_speed.data.speed_half_width = _half_width(config)
-        train_one(_running(of_speed, directions[0]), folder, saved=config)
+        _train(_running(of_speed, directions[0]), folder, saved=config)
         return
     ranges = [replace(r, direction=d) for r in _ranges(config, speeds) for d in directions]
     program.save_config(config, folder)
     train_ranges(
         ranges,
-        lambda speeds_of_model, where: train_one(_bound(config, speeds_of_model), where),
+        lambda speeds_of_model, where: _train(_bound(config, speeds_of_model), where),
         folder,
     )
 
@@ -162,10 +149,10 @@ def _at_a_speed(config: DictConfig) -> DictConfig:
     return at_speed
 
 
-def _directions(config: DictConfig, healthy: _Healthy | None) -> Sequence[Direction]:
-    """Return the directions of travel to train for: as asked for, else those of the trips."""
+def _directions(config: DictConfig) -> Sequence[Direction]:
+    """Return the directions of travel to train for."""
     if config.direction is None:
-        return healthy.directions if healthy else (config.generator.get("direction", FORWARD),)
+        return (config.generator.get("direction", FORWARD),)
     check_choice("direction", config.direction, (*DIRECTIONS, BOTH))
     if build(_at_a_speed(config), "generator").direction is None:
         raise ValueError(NO_DIRECTION)
@@ -195,9 +182,8 @@ def _ranges(config: DictConfig, speeds: float | Sequence[float]) -> list[SpeedRa
 
 def _half_width(config: DictConfig) -> float:
     """Return the half width of the range of speeds that one model reads, relative to its middle."""
-    usual = WIDE_SPEED_HALF_WIDTH if config.healthy is not None else SPEED_HALF_WIDTH
     wanted: float | None = config.data.speed_half_width
-    return usual if wanted is None else wanted
+    return SPEED_HALF_WIDTH if wanted is None else wanted
 
 
 def _bound(config: DictConfig, speeds: SpeedRange) -> DictConfig:
@@ -205,18 +191,6 @@ def _bound(config: DictConfig, speeds: SpeedRange) -> DictConfig:
     of_range.speed_m_per_s = speeds.trained_m_per_s
     of_range.data.speed_half_width = speeds.half_width
     return of_range
-
-
-@dataclass(frozen=True)
-class _Healthy:
-    """The vehicle that healthy trips show, and the notes on them in a model's file."""
-
-    generator: VerticalVehicle
-    notes: dict[str, Any]
-    residual: Residual | None
-    speeds_m_per_s: tuple[float, ...]
-    directions: tuple[Direction, ...]
-    minutes: float
 
 
 def _check_healthy(config: DictConfig) -> EstimateSettings:
@@ -229,11 +203,8 @@ def _check_healthy(config: DictConfig) -> EstimateSettings:
 
 def _commissioned(
     config: DictConfig, folder: Path, paths: Sequence[ManifestFile] | None
-) -> _Healthy | BogieModel | None:
-    """Return the vehicle that healthy trips show; None without a folder of them.
-
-    Where their sensors show each part, it is the model that reads them.
-    """
+) -> BogieModel | None:
+    """Return the model of the vehicle that healthy trips show; None without a folder of them."""
     if config.healthy is None:
         return None
     # wrong settings are refused before minutes of reading
@@ -250,44 +221,18 @@ def _commissioned(
         n_first=config.n_healthy,
         progress=config.progress,
     )
-    bogie = None if healthy.vehicle is None else commission_parts(healthy, trips)
-    outcome = commission_trips(healthy, generator, settings, bogie=bogie, progress=config.progress)
+    bogie = commission_parts(healthy, trips)
+    outcome = commission_trips(healthy, generator, settings, bogie=bogie)
     with speaking(config.language):
         write_outcome(folder, healthy, outcome, bogie)
-    notes = training_notes(healthy, outcome)
-    if bogie is not None:
-        usual = replace(outcome.generator, speed_m_per_s=median(healthy.speeds_m_per_s))
-        return BogieModel(bogie, usual, settings, {"commissioned": notes})
-    return _Healthy(
-        outcome.generator,
-        notes,
-        outcome.residual,
-        healthy.speeds_m_per_s,
-        healthy.directions,
-        float(f"{usable_minutes(healthy, settings):.2g}"),
-    )
+    usual = replace(outcome.generator, speed_m_per_s=median(healthy.speeds_m_per_s))
+    return BogieModel(bogie, usual, settings, {"commissioned": training_notes(healthy, outcome)})
 
 
-def _generator(config: DictConfig, healthy: _Healthy | None) -> ResponseGenerator:
-    """Return the source of training curves: as configured, or as commissioned."""
-    plain: ResponseGenerator = build(config, "generator")
-    if healthy is None or plain.speed_m_per_s is None:
-        return plain
-    commissioned = replace(
-        healthy.generator, speed_m_per_s=plain.speed_m_per_s, device=plain.device
-    )
-    return commissioned.running(plain.direction or FORWARD)
-
-
-def _train(
-    config: DictConfig,
-    folder: Path,
-    healthy: _Healthy | None,
-    saved: DictConfig | None = None,
-) -> Metrics:
+def _train(config: DictConfig, folder: Path, saved: DictConfig | None = None) -> Metrics:
     """Train one model and fill a folder; config.yaml holds `saved`, or else `config`."""
     problem = Problem(
-        generator=_generator(config, healthy),
+        generator=build(config, "generator"),
         task=build(config, "protocol").task(config.group),
         settings=build(config, "data"),
         seed=config.seed,
@@ -308,8 +253,6 @@ def _train(
         figures=config.figures,
         context=RunContext(
             config=resolved,
-            notes={"commissioned": healthy.notes} if healthy else {},
-            residual=healthy.residual if healthy else None,
             swept=folders.swept(),
         ),
     )

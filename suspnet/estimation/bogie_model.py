@@ -28,7 +28,9 @@ BOGIE = "bogie"
 
 @dataclass(frozen=True, repr=False)
 class BogieModel(Model):
-    """A model that reads each spring and damper of a commissioned bogie, at any speed, both ways.
+    """A model that reads springs and dampers of a commissioned bogie, at any speed, both ways.
+
+    It reads each of them, or all of a kind as equal where the sensors do not show each.
 
     No method was fitted for it: a trip is explained by the bogie itself. `generator` has the
     bogie's numbers with both sides and axles as equal: it checks the channels, and `settings` are
@@ -42,7 +44,8 @@ class BogieModel(Model):
     name: str = field(default=BOGIE, init=False)
 
     def __repr__(self) -> str:
-        return f"BogieModel(each part of {self.vehicle.name}, misfit {self.bogie.misfit:.3g})"
+        read = "each part" if self.bogie.generator.shows_parts else "springs and dampers"
+        return f"BogieModel({read} of {self.vehicle.name}, misfit {self.bogie.misfit:.3g})"
 
     @cached_property
     def healthy(self) -> HealthyValues:

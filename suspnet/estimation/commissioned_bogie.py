@@ -22,7 +22,8 @@ class HealthyScatter:
     `own` and `alike` are standard deviations of the logarithm of a part of each of ``PARAMETERS``
     k_p, c_p, k_s and c_s: of each part alone, and of all of the kind together; `n_trips` is their
     number. It is that of a normal distribution with Student's quantiles of n_trips - 1 degrees.
-    `noise` (12, 12) is the mean covariance of the logarithms that noise alone gives such a trip.
+    `noise` (12, 12) is the mean covariance of the logarithms that noise alone gives such a trip,
+    (4, 4) where all parts of a kind are equal and `own` is 0.
     """
 
     own: tuple[float, ...]
@@ -66,5 +67,10 @@ class CommissionedBogie(ShortRepr):
 
     @cached_property
     def healthy(self) -> HealthyValues:
-        """Healthy values of ``COMPONENTS`` in SI units, which estimates are relative to."""
-        return HealthyValues.of(self.generator, COMPONENTS)
+        """Healthy values of `outputs` in SI units, which estimates are relative to."""
+        return HealthyValues.of(self.generator, self.outputs)
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """What is read: each part and the mass, or all parts of a kind as equal."""
+        return COMPONENTS if self.generator.shows_parts else PARAMETERS

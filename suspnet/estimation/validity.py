@@ -18,7 +18,7 @@ from suspnet.estimation.relative_velocity import DampingByVelocity
 from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import LEAST_TRIPS
-from suspnet.ground.parameters import BOGIE_PARTS, PARAMETERS
+from suspnet.ground.parameters import PARAMETERS
 from suspnet.ground.records import Place
 from suspnet.ground.settings import LARGEST, check_flag, check_number
 from suspnet.ground.types import FloatArray
@@ -184,16 +184,16 @@ def _check_bogie(model: BogieModel) -> None:
     ):
         raise ValueError("`bogie.errors` must be numbers >= 0, a row of all sensors for each bin")
     if bogie.scatter is not None:
-        _check_scatter(bogie.scatter)
+        _check_scatter(bogie.scatter, len(bogie.outputs) - 1)
 
 
-def _check_scatter(scatter: HealthyScatter) -> None:
+def _check_scatter(scatter: HealthyScatter, n: int) -> None:
     for name in ("own", "alike"):
         values = np.array(getattr(scatter, name), dtype=float)
         _check_vector(f"bogie.scatter.{name}", values, len(PARAMETERS) - 1)
         if not (values >= 0).all():
             raise ValueError(f"`bogie.scatter.{name}` must not be negative")
-    noise, n = np.array(scatter.noise, dtype=float), len(BOGIE_PARTS)
+    noise = np.array(scatter.noise, dtype=float)
     if noise.shape != (n, n) or not np.isfinite(noise).all():
         raise ValueError(f"`bogie.scatter.noise` must be {n} x {n} finite numbers")
     check_number("bogie.scatter.n_trips", scatter.n_trips, low=LEAST_TRIPS, whole=True)

@@ -94,6 +94,9 @@ PLACES = (
 )
 """Places of vertical accelerometers: axle boxes of the measured bogie, its frame above the axles or
 at its centre, the body above the bogie; axles and sides as in ``CORNERS``."""
+LEAST_SENSORS = 4
+"""Least number of sensors that show each spring and damper: one more than the unknown spectra of
+the track, those of elevation, cross level and alignment."""
 ADDITIONS: dict[str, tuple[str, ...]] = {
     "frame_sway": ("y_1", "y_2"),
     "frame_yaw": ("chi_1", "chi_2"),
@@ -171,6 +174,13 @@ SPATIAL_QUANTITIES = (
 """Numbers that only a vehicle of twelve separate springs and dampers has. Sensitivity and delay of
 a sensor are relative to the first one of the vehicle's list."""
 _KNOWN = {quantity.name: quantity for quantity in (*QUANTITIES, *SPATIAL_QUANTITIES)}
+
+
+def show_parts(places: Sequence[str]) -> bool:
+    """Return whether sensors at these places show each part: more than inputs, on both sides."""
+    showing = [place for place in places if place not in IN_BETWEEN]
+    sides = {place.rpartition("_")[2] for place in showing}
+    return len(showing) >= LEAST_SENSORS and sides.issuperset(SIDES)
 
 
 @dataclass(frozen=True)

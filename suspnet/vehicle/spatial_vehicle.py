@@ -27,6 +27,7 @@ from suspnet.vehicle.quantities import (
     SPATIAL_QUANTITIES,
     LogNormal,
     Quantity,
+    show_parts,
 )
 from suspnet.vehicle.spatial_motion import is_lateral, spatial_motion
 from suspnet.vehicle.spatial_response import (
@@ -133,6 +134,25 @@ class SpatialVehicle(VehicleFamily):
                 or quantity.name in measuring
             ),
         )
+
+    @property
+    def in_middle(self) -> bool:
+        """Whether all sensors are in the middle: they measure the mean of both rails alone."""
+        return all(place.endswith("_middle") for place in self._places)
+
+    @property
+    def shows_parts(self) -> bool:
+        """Whether the sensors show each spring and damper; else all of a kind are equal."""
+        return show_parts(self._places)
+
+    def seen_prior(self) -> Self:
+        """Return the vehicle with its prior, without numbers that no sensor in the middle sees."""
+        vehicle = self.with_prior()
+        assert vehicle.distribution is not None
+        if not self.in_middle:
+            return vehicle
+        rolling = [q.name for q in self.quantities if q.part == "roll" or q.name == "yaw_lateral"]
+        return replace(vehicle, distribution=vehicle.distribution.without(rolling))
 
     @property
     def _groups(self) -> tuple[str, ...]:

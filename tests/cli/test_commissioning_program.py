@@ -2,20 +2,16 @@
 
 import json
 import logging
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from cli_runner import QUIET, run_main, run_program
-from commissioned_example import UNCERTAIN, commissioned_example
-from omegaconf import OmegaConf
+from cli_runner import QUIET, run_program
+from fitted_at_once import fitted_at_once
 from trip_fixtures import changed, small_fleet
 
 from suspnet.cli import train
-from suspnet.curves.estimates import WIDE_SPEED_HALF_WIDTH
-from suspnet.curves.speeds import SpeedRange, range_words
 from suspnet.estimation.checkpoint import load_model
-from suspnet.ground.storage import write_json
+from suspnet.ground.parameters import PARAMETERS
 from suspnet.trains.jobs import commissioning as run
 
 pytestmark = pytest.mark.usefixtures("blank", "healthy_trips_read_once")
@@ -41,46 +37,55 @@ def folder(fleet, tmp_path):
 
 @pytest.fixture
 def fitted(monkeypatch):
-    """Put the example's vehicle in the place of every fit, which would take long."""
-    outcome = commissioned_example()[1]
-    monkeypatch.setattr(run, "commission", lambda *_, **__: outcome)
-    return outcome
+    """Put a bogie at its prior in the place of every fit, which would take long; return it."""
+
+    def fit(vehicle, trips, *_, **__):
+        return fitted_at_once(vehicle, trips, fit.converged)
+
+    fit.converged = True
+    monkeypatch.setattr(run, "commission_bogie", fit)
+    return fit
 
 
 def test_run_on_healthy_trips_has_page_posterior_and_notes(fitted, folder, tmp_path):
-    metrics = run_main(train, tmp_path / "run", *TRIPS, f"healthy={folder}")
+    assert run_program(train, tmp_path / "run", *TRIPS, f"healthy={folder}") == 0
     names = {path.name for path in (tmp_path / "run").iterdir()}
     assert {"commissioning.html", "commissioning.json", "model.json", "metrics.json"} <= names
     model = load_model(tmp_path / "run")
-    assert model.generator.distribution == fitted.posterior
-    assert model.generator.parts == ("bushings",)
+    vehicle = model.bogie.generator
+    assert vehicle.sensors == ("axle_box_axle1_middle", "frame_axle1_middle", "body_middle")
+    assert model.bogie.outputs == model.healthy.names == PARAMETERS
+    assert len(model.bogie.scatter.noise) == 4
     notes = model.training["commissioned"]
-    assert notes == metrics["training"]["commissioned"]
     assert notes["trips"] == sorted(path.stem for path in folder.glob("*.yaml"))
     assert notes["n_trips"] == 3
-    assert notes["misfit"] == fitted.misfit
+    assert notes["misfit"] == 1.02
     assert notes["converged"] is True
     content = json.loads((tmp_path / "run" / "commissioning.json").read_text())
-    assert {one["name"] for one in content["numbers"]} == set(UNCERTAIN)
+    assert content["verdict"][0].endswith("are read as one: the misfit is 1.02 times the noise.")
+    assert {"healthy_k_p", "bogie_gyration"} <= {one["name"] for one in content["numbers"]}
 
 
-def test_run_goes_on_with_a_warning_if_one_start_alone_found_the_vehicle(
-    fitted, folder, tmp_path, monkeypatch, caplog
-):
-    spoilt = replace(fitted, n_agree=1, converged=False)
-    monkeypatch.setattr(run, "commission", lambda *_, **__: spoilt)
-    trained = []
-    monkeypatch.setattr(
-        train, "train", lambda *_, **options: trained.append(options["context"].notes)
-    )
+def test_run_goes_on_with_a_warning_if_the_search_did_not_end(fitted, folder, tmp_path, caplog):
+    fitted.converged = False
     with caplog.at_level(logging.WARNING):
         assert run_program(train, tmp_path / "run", *TRIPS, f"healthy={folder}") == 0
-    assert trained[0]["commissioned"]["n_trips"] == 3
-    assert trained[0]["commissioned"]["converged"] is False
-    said = [r.getMessage() for r in caplog.records if r.name == "suspnet.trains.jobs.commissioning"]
-    assert "did not converge" in said[0]
-    assert "no other one found this vehicle" in said[1]
+    assert "The search for the bogie did not end" in caplog.text
+    assert load_model(tmp_path / "run").training["commissioned"]["converged"] is False
     assert 'class="result notice"' in (tmp_path / "run" / "commissioning.html").read_text()
+
+
+def test_parts_that_are_named_are_the_vehicles(fitted, folder, tmp_path):
+    given = [*TRIPS, f"healthy={folder}", "generator.parts=[bushings]"]
+    assert run_program(train, tmp_path / "run", *given) == 0
+    assert load_model(tmp_path / "run").bogie.generator.parts == ("bushings", "roll")
+
+
+def test_no_speed_is_for_healthy_trips(folder, tmp_path):
+    said = run_program(train, tmp_path / "none", *TRIPS, "speed_m_per_s=null")
+    assert said == (
+        "error: speed_m_per_s=null is for healthy=DIR, whose trips show the speeds; give a speed"
+    )
 
 
 @pytest.mark.representatives(3)
@@ -114,58 +119,3 @@ def test_too_few_trips_leave_nothing(speed, folder, tmp_path):
     said = run_program(train, tmp_path / "run", *given)
     assert "2 healthy trips can be used, at least 3 are needed" in said
     assert list((tmp_path / "run").iterdir()) == []
-
-
-@pytest.fixture
-def problems(monkeypatch):
-    """Train and draw nothing; return what would be trained."""
-    asked = []
-
-    def train_nothing(problem, model, folder, **options):
-        asked.append(problem)
-        metrics = {"rms_percent": {}, "scores": {}, "intervals": {}, "seconds": 0.0}
-        write_json(folder / "metrics.json", metrics)
-        return metrics
-
-    monkeypatch.setattr(train, "train", train_nothing)
-    monkeypatch.setattr(train, "write_outcome", lambda *_: None)
-    return asked
-
-
-def test_speeds_of_the_healthy_trips_are_the_default(fitted, problems, folder, tmp_path, caplog):
-    assert run_program(train, tmp_path / "one", *TRIPS, f"healthy={folder}") == 0
-    (problem,) = problems
-    assert problem.generator.speed_m_per_s == problem.settings.speed_m_per_s == 70.0
-    assert problem.settings.speed_half_width == WIDE_SPEED_HALF_WIDTH
-    assert OmegaConf.load(tmp_path / "one" / "config.yaml").speed_m_per_s is None
-    for path, speed in zip(sorted(folder.glob("*.yaml")), (62.0, 69.1, 77.0), strict=True):
-        changed(path, folder, path.stem, speed=speed)
-    given = [*TRIPS, f"healthy={folder}"]
-    problems.clear()
-    assert run_program(train, tmp_path / "wide", *given) == 0
-    assert [one.generator.speed_m_per_s for one in problems] == [69.7]
-    # several models where one does not read all speeds
-    problems.clear()
-    given.append("data.speed_half_width=0.08")
-    with caplog.at_level(logging.INFO):
-        assert run_program(train, tmp_path / "several", *given) == 0
-        assert "healthy trips at 62.0 to 77.0 m/s: speed_m_per_s=[60,79]" in caplog.text
-        ranges = [
-            SpeedRange.around(one.generator.speed_m_per_s, one.settings.speed_half_width)
-            for one in problems
-        ]
-        assert range_words(ranges) == "60.0 to 79.0 m/s"
-        given.append(f"resume={tmp_path / 'several'}")
-        assert run_program(train, tmp_path / "several", *given) == 0
-        assert "finished before" in caplog.text
-    assert len(problems) == len(ranges) == 2
-
-
-def test_speed_that_is_given_is_taken(fitted, problems, folder, tmp_path):
-    given = [*TRIPS, f"healthy={folder}", "speed_m_per_s=50"]
-    assert run_program(train, tmp_path / "run", *given) == 0
-    assert problems[0].generator.speed_m_per_s == 50.0
-    said = run_program(train, tmp_path / "none", *TRIPS, "speed_m_per_s=null")
-    assert said == (
-        "error: speed_m_per_s=null is for healthy=DIR, whose trips show the speeds; give a speed"
-    )

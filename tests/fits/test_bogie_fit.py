@@ -499,7 +499,9 @@ def test_scatter_is_what_noise_does_not_explain(monkeypatch):
     monkeypatch.setattr(
         bogie_scatter, "read_as_later", lambda *_: (logs, np.tile(noise, (n, 1, 1)))
     )
-    found = bogie_scatter.healthy_scatter(SimpleNamespace(trips=[None] * n), np.zeros(1))
+    found = bogie_scatter.healthy_scatter(
+        SimpleNamespace(trips=[None] * n, generator=VEHICLE), np.zeros(1)
+    )
     np.testing.assert_allclose(found.own, own, atol=2e-3)
     np.testing.assert_allclose(found.alike, alike, atol=2e-3)
     assert found.n_trips == n

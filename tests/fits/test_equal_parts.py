@@ -1,5 +1,7 @@
 """All parts of a kind as equal: tied coordinates of the search, and sensors in the middle."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -22,10 +24,11 @@ MIDDLE = SpatialVehicle(
     sensors=("axle_box_axle1_middle", "frame_axle1_middle", "body_middle"),
     distribution={"healthy_k_p": 0.1, "healthy_k_s": 0.1, "half_wheelbase": 0.05},
 )
+LEFT = replace(MIDDLE, sensors=("axle_box_axle1_left", "frame_axle1_left", "body_left"))
 
 
 def uncertain(parts, mass):
-    """Return a row of the vehicle with sensors in the middle, off its median."""
+    """Return a row of a vehicle with three sensors, off its median."""
     given = torch.ones(1, len(COMPONENTS), dtype=torch.float64)
     for name, ratio in parts.items():
         given[0, COMPONENTS.index(name)] = ratio
@@ -48,7 +51,9 @@ def test_three_sensors_in_the_middle_measure_the_responses_of_the_vertical_vehic
 
 
 @pytest.mark.parametrize(
-    ("vehicle", "row_of"), [(VEHICLE, row), (MIDDLE, uncertain)], ids=["six", "three"]
+    ("vehicle", "row_of"),
+    [(VEHICLE, row), (MIDDLE, uncertain), (LEFT, uncertain)],
+    ids=["six", "three in the middle", "three on the left"],
 )
 def test_one_ratio_of_each_kind_is_read(vehicle, row_of):
     def measured(parts, mass, seed):
@@ -59,7 +64,10 @@ def test_one_ratio_of_each_kind_is_read(vehicle, row_of):
     else:
         healthy = [measured({}, mass, i) for i, mass in enumerate(MASSES)]
         bogie = commission_bogie(vehicle, healthy)
-    found = fit_parts(bogie, measured(EVERY, 1.05, 9), equal=True)
+        assert bogie.outputs == bogie.healthy.names == PARAMETERS
+        assert bogie.scatter.own == (0.0, 0.0, 0.0, 0.0)
+        assert np.shape(bogie.scatter.noise) == (4, 4)
+    found = fit_parts(bogie, measured(EVERY, 1.05, 9), equal=vehicle is VEHICLE or None)
     assert found.names == found.as_estimate().names == PARAMETERS
     errors = np.log(found.values[:4] / list(WORN.values()))
     assert (np.abs(errors) < 4 * found.deviations[:4]).all()

@@ -30,7 +30,6 @@ from suspnet.trains.identification.bogie_trips import (
     bogie_vehicle,
     estimate_parts,
     sensor_places,
-    show_parts,
 )
 from suspnet.trains.identification.direction import direction_of
 from suspnet.trains.identification.from_recording import read_trip
@@ -48,6 +47,7 @@ from suspnet.trains.simulation import Fleet
 from suspnet.trains.spectra.segments import recording_segments
 from suspnet.trains.spectra.wheel_lines import WheelLine
 from suspnet.vehicle import SpatialVehicle, VerticalVehicle
+from suspnet.vehicle.quantities import show_parts
 
 PARTS = (
     "bushings",
@@ -102,7 +102,9 @@ def test_bins_with_lines_of_wheels_are_left_out(short, monkeypatch):
 
 def test_sensors_come_in_the_order_of_the_vehicle(short):
     turned = SpatialVehicle(
-        AM96, parts=PARTS, sensors=("body_left", "axle_box_axle1_right", "frame_axle1_left")
+        AM96,
+        parts=PARTS,
+        sensors=("body_left", "axle_box_axle1_right", "frame_axle1_left", "body_right"),
     )
     found, every = bogie_trip(short, turned).spectra, bogie_trip(short, VEHICLE).spectra
     order = [VEHICLE.sensors.index(place) for place in turned.sensors]
@@ -333,7 +335,12 @@ def test_without_a_channel_both_sides_as_equal_are_not_read():
 
 def test_healthy_trips_show_the_parts_alike_or_none():
     few = {"axle_box": BOXES[:2], "bogie": [("middle", 1)], "body": SEVEN["body"]}
-    assert bogie_vehicle([*map(manifest_of, [few] * 3)], VerticalVehicle(AM96)) is None
+    of_kinds = bogie_vehicle([*map(manifest_of, [few] * 3)], VerticalVehicle(AM96))
+    assert of_kinds.sensors == (*PLACES_OF_SEVEN[:2], "frame_axle1_middle", "body_left")
+    assert not of_kinds.shows_parts
+    assert not of_kinds.in_middle
+    no_frame = {"axle_box": BOXES[:2], "body": SEVEN["body"]}
+    assert bogie_vehicle([*map(manifest_of, [no_frame] * 3)], VerticalVehicle(AM96)) is None
     with pytest.raises(TripError, match="healthy trips differ in their sensors"):
         bogie_vehicle([*map(manifest_of, [SEVEN, SEVEN, few])], VerticalVehicle(AM96))
 

@@ -19,7 +19,7 @@ from suspnet.curves.speeds import NoEstimateError
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.trains.identification.commissioning_summary import unplaced
 from suspnet.trains.identification.healthy_trips import read_healthy
-from suspnet.trains.jobs.commissioning import _prior
+from suspnet.trains.jobs.commissioning import prior_of
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.formats import READERS
 from suspnet.trains.recordings.manifest_files import read_manifest
@@ -88,7 +88,7 @@ def test_single_sensors_are_placed_by_the_side_that_is_said(folder, side, body, 
         channels = {"body": {"side": body}}
         changed(folder / f"{name}.yaml", folder, name, channels=channels, side=side)
     trips = read(folder)
-    placed = _prior(VerticalVehicle(AM96), trips)
+    placed = prior_of(VerticalVehicle(AM96), trips)
     assert placed.sensor_lateral_m == expected
     assert ("roll" in placed.parts) == any(expected)
     assert (unplaced(trips) is None) == (side is not None)

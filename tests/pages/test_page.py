@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from commissioned_example import MASSES, SETTINGS, UNCERTAIN, commissioned_example, trip
+from commissioned_example import MASSES, UNCERTAIN, commissioned_example, trip
 from vehicles import AM96
 
 from suspnet.estimation.commissioned_bogie import HealthyScatter
@@ -284,17 +284,6 @@ def test_limits_of_the_misfit_are_those_at_which_estimates_are_flagged(commissio
     assert words.LOOK_FIRST not in words.doubts(replace(commissioned[1], misfit=UNTRUSTED - 1))
     assert f"A misfit above {INCOMPLETE:g} means" in said
     assert said.endswith(f"above {UNTRUSTED:g} every estimate is flagged as well.")
-
-
-def test_usable_minutes_are_those_of_the_averages(commissioned):
-    found = commissioned[0]
-    assert words.usable_minutes(found, SETTINGS) == pytest.approx(SETTINGS.minutes)
-    half = [
-        replace(g, spectra=replace(g.spectra, n_averages=g.spectra.n_averages / 2))
-        for g in found.groups
-    ]
-    shorter = words.usable_minutes(replace(found, groups=tuple(half)), SETTINGS)
-    assert shorter == pytest.approx(SETTINGS.minutes / 2)
 
 
 @pytest.mark.parametrize(

@@ -113,16 +113,17 @@ def fit_parts(
     level: float = 0.9,
     start: FloatArray | None = None,
     *,
-    equal: bool = False,
+    equal: bool | None = None,
 ) -> PartsEstimate:
     """Return the ratio to healthy of every part on a later trip; `equal`: of every kind.
 
-    `start` (13,) are ratios near it, such as those of an earlier trip: the search starts there,
-    or from the healthy vehicle where that is nearer. If it does not explain the trip, it starts
-    from the healthy vehicle in bands that widen. ValueError if the trip has another number of
-    sensors.
+    `equal` None: of every kind where the sensors do not show each part. `start` (13,) are ratios
+    near it, such as those of an earlier trip: the search starts there, or from the healthy vehicle
+    where that is nearer. If it does not explain the trip, it starts from the healthy vehicle in
+    bands that widen. ValueError if the trip has another number of sensors.
     """
     assert bogie.generator.sensors is not None
+    equal = not bogie.generator.shows_parts if equal is None else equal
     noise = bogie.noise[trip.kept(bogie.generator.sensors)]
     # far from the healthy trips' mass, as by a wrong one on the drawing, valleys differ
     mass = float(np.exp(np.log(bogie.masses).mean()))

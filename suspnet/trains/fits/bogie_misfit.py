@@ -344,8 +344,8 @@ class BogieMisfit:
 
         Sensors in the middle of a vehicle of equal sides measure the mean of both rails alone.
         """
-        in_middle = all(place.endswith("_middle") for place in self._sensors)
-        alone = ("wheelset", "cross_level", "alignment") if in_middle else ("wheelset",)
+        is_mean = self.generator.in_middle
+        alone = ("wheelset", "cross_level", "alignment") if is_mean else ("wheelset",)
         return [i for i, name in enumerate(self.generator.inputs) if not name.startswith(alone)]
 
     @cached_property

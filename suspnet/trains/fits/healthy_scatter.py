@@ -13,7 +13,8 @@ logarithms of its P parts, m_i their mean over j and c_i the mean of C_i ::
     own^2   = mean_i [sum_j (e_ij - m_i)^2 - (tr C_i - P c_i)] / (P - 1)
     alike^2 = mean_i [m_i^2 - c_i] - own^2 / P
 
-each at least 0.
+each at least 0. Where the sensors do not show each part, all of a kind are read as one and own is
+0.
 """
 
 from __future__ import annotations
@@ -25,35 +26,40 @@ import numpy as np
 from suspnet.estimation.commissioned_bogie import HealthyScatter
 from suspnet.ground.parameters import BOGIE_PARTS, PARAMETERS, kind_of
 from suspnet.ground.types import FloatArray
-from suspnet.trains.fits.bogie_misfit import SEPARATE, BogieMisfit
+from suspnet.trains.fits.bogie_misfit import EQUAL, SEPARATE, BogieMisfit
 
 
 def healthy_scatter(fit: BogieMisfit, x: FloatArray) -> HealthyScatter:
     """Return the scatter of the healthy trips of a sum of squares at its minimum x."""
-    logs, covariances = read_as_later(fit, x)
+    separate = fit.generator.shows_parts
+    names = BOGIE_PARTS if separate else PARAMETERS[:-1]
+    logs, covariances = read_as_later(fit, x, SEPARATE if separate else EQUAL)
     own, alike = [], []
     for kind in PARAMETERS[:-1]:
-        parts = [i for i, name in enumerate(BOGIE_PARTS) if kind_of(name) == kind]
+        parts = [i for i, name in enumerate(names) if kind_of(name) == kind]
         n, of_kind = len(parts), logs[:, parts]
         noise = covariances[:, parts][:, :, parts]
         trace, common = np.trace(noise, axis1=1, axis2=2), noise.mean(axis=(1, 2))
         squares = n * of_kind.var(axis=1) - (trace - n * common)
-        variance = max(0.0, float(squares.mean()) / (n - 1))
+        variance = max(0.0, float(squares.mean()) / (n - 1)) if separate else 0.0
         shared = float((of_kind.mean(axis=1) ** 2 - common).mean()) - variance / n
         own.append(float(np.sqrt(variance)))
         alike.append(float(np.sqrt(max(0.0, shared))))
-    noise = covariances.mean(axis=0)[: len(BOGIE_PARTS), : len(BOGIE_PARTS)]
+    noise = covariances.mean(axis=0)[: len(names), : len(names)]
     rows = tuple(map(tuple, noise.tolist()))
     return HealthyScatter(tuple(own), tuple(alike), len(fit.trips), rows)
 
 
-def read_as_later(fit: BogieMisfit, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+def read_as_later(
+    fit: BogieMisfit, x: FloatArray, ties: FloatArray = SEPARATE
+) -> tuple[FloatArray, FloatArray]:
     """Return the logarithms of parts and mass of each trip, (n_trips, 13), and their covariances.
 
-    These are of noise, (n_trips, 13, 13).
+    These are of noise, (n_trips, 13, 13). `ties` are as of `BogieMisfit`: with equal parts there
+    are 5 logarithms.
     """
     n = fit.n_shared
-    steps = [_step(fit, x, i) for i in range(len(fit.trips))]
+    steps = [_step(fit, x, i, ties) for i in range(len(fit.trips))]
     healthy = [_without_mass(information, score, n) for _, information, score in steps]
     information_of_all = np.eye(n) + sum(of_trip for of_trip, _ in healthy)
     score_of_all = x[:n] + sum(of_trip for _, of_trip in healthy)
@@ -74,16 +80,18 @@ def expected_noise(fit: BogieMisfit, x: FloatArray, n_healthy: int) -> FloatArra
     trips like it have shown.
     """
     n = fit.n_shared
-    _, information, score = _step(fit.as_expected(x), x, 0)
+    _, information, score = _step(fit.as_expected(x), x, 0, SEPARATE)
     of_healthy, _ = _without_mass(information, score, n)
     information[:n, :n] += np.eye(n) + n_healthy * of_healthy
     return np.asarray(np.linalg.inv(information)[n:, n:])
 
 
-def _step(fit: BogieMisfit, x: FloatArray, i: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _step(
+    fit: BogieMisfit, x: FloatArray, i: int, ties: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return trip i's coordinates as a later one, and its information and score there."""
     n = fit.n_shared
-    of_trip = replace(fit, are_healthy=False, ties=SEPARATE).of_trips([i])
+    of_trip = replace(fit, are_healthy=False, ties=ties).of_trips([i])
     # the vehicle and the mass as they are, all parts healthy
     own = np.zeros(of_trip.n_own)
     own[-1] = x[n + i]

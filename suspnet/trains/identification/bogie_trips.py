@@ -19,11 +19,11 @@ from suspnet.estimation.flags import BOGIE_NOT_CONVERGED, with_doubt
 from suspnet.estimation.intervals import LARGEST_MISFIT
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.findings import Finding, at, together
-from suspnet.ground.parameters import COMPONENTS, FORWARD, SIDES, Direction
+from suspnet.ground.parameters import FORWARD, Direction
 from suspnet.trains.fits.bogie_fit import PartsEstimate, fit_parts
 from suspnet.trains.fits.worn_parts import worn_parts
 from suspnet.trains.recordings.errors import TripError
-from suspnet.trains.recordings.manifest import LEAST_SENSORS, TripManifest
+from suspnet.trains.recordings.manifest import TripManifest
 from suspnet.trains.recordings.manifest_sources import MIDDLE
 from suspnet.trains.recordings.recording import Recording
 from suspnet.trains.sensors.swapped_sensors import check_order
@@ -33,45 +33,62 @@ from suspnet.trains.spectra.steady_parts import groups_to_read, minutes_words
 from suspnet.trains.spectra.subspace import SpectralMatrix
 from suspnet.trains.spectra.wheel_lines import line_bins, wheel_lines
 from suspnet.vehicle import SpatialVehicle, VerticalVehicle
-from suspnet.vehicle.quantities import IN_BETWEEN, PLACES
+from suspnet.vehicle.quantities import (
+    ADDITIONS,
+    IN_BETWEEN,
+    LEAST_SENSORS,
+    PLACES,
+    show_parts,
+)
 
 PARTS_OF_BOGIE = (
     *("bushings", "rubber", "guidance", "longitudinal", "bending", "payload", "sensors"),
     *("frame_sway", "frame_yaw", "body_yaw", "creep", "torsion", "yaw_dampers"),
 )
 """What a vehicle whose parts are read may have besides rigid bodies on springs and dampers."""
+EQUAL_PARTS = tuple(part for part in PARTS_OF_BOGIE if part not in ADDITIONS)
+"""What a vehicle may have whose sensors do not show each part: nothing moves to the side but the
+body, and all parts of a kind wear alike."""
 SHARED = ("bogie", "axle", "frame_sensor", "body_sensor_m", "nominal")
 """Settings that it shares with the vehicle of both sides as equal."""
-SEGMENTS_S = (120.0, 60.0, 40.0)
-"""Lengths of segments. The first that gives enough averages is taken: the shorter a segment, the
-more of a bin is leaked by its neighbours."""
+SEGMENTS_S, EQUAL_SEGMENTS_S = (120.0, 60.0, 40.0), (40.0,)
+"""Lengths of segments, and those where all parts of a kind are equal. The first that gives enough
+averages is taken: the shorter a segment, the more of a bin is leaked by its neighbours."""
 MIN_AVERAGES = 10
 """Averages that shorter segments than the first must exceed."""
 LOW_HZ, HIGH_HZ = 0.5, 18.0
 """Ends of the band: below, accelerometers drift; above, frame and body have modes of their own."""
-SPACING_HZ = 0.1
-"""Distance of the bins, far enough for them to be independent."""
+SPACING_HZ, EQUAL_SPACING_HZ = 0.1, 0.05
+"""Distance of the bins, far enough for them to be independent. Few sensors need every independent
+bin of a trip: two bins of its segments, whose Hann windows share 3 % of their power."""
 
 
 def bogie_vehicle(
     manifests: Sequence[TripManifest], generator: VerticalVehicle
 ) -> SpatialVehicle | None:
-    """Return the vehicle, with its prior, whose parts the sensors of some trips show.
+    """Return the vehicle, with its prior, that the sensors of some trips show.
 
-    `generator` gives vehicle and bogie, the manifests give the places of sensors. None if these do
-    not show the parts; TripError if they show them but differ.
+    `generator` gives vehicle and bogie, the manifests give the places of sensors. Where these do
+    not show each part, all of a kind are equal. None if there is no sensor on axle box, frame or
+    body then; TripError if the trips' sensors differ.
     """
     places = [sensor_places(manifest, generator.frame_sensor) for manifest in manifests]
-    if not any(map(show_parts, places)):
-        return None
+    separate = any(map(show_parts, places))
+    if not separate:
+        places = [_placed(manifest, generator.frame_sensor) for manifest in manifests]
+        if not all(len({place.split("_")[0] for place in of_trip}) == 3 for of_trip in places):
+            return None
     if len(set(places)) > 1:
         raise TripError(at(manifests[0].path.parent, "sensors-differ-healthy"))
-    return SpatialVehicle(
+    lateral_m = [abs(lateral_m) or 1.0 for lateral_m in generator.sensor_lateral_m]
+    vehicle = SpatialVehicle(
         generator.vehicle,
         **{name: getattr(generator, name) for name in SHARED},
-        parts=PARTS_OF_BOGIE,
+        parts=PARTS_OF_BOGIE if separate else generator.parts or EQUAL_PARTS,
+        sensor_lateral_m=(lateral_m[0], lateral_m[1], lateral_m[2]),
         sensors=places[0],
-    ).with_prior()
+    )
+    return vehicle.seen_prior()
 
 
 def bogie_trip(
@@ -105,7 +122,7 @@ def bogie_trip(
     """
     settings = settings or TripSettings()
     candidates, reasons = _candidates(recording), []
-    for segment_s in SEGMENTS_S:
+    for segment_s in SEGMENTS_S if generator.shows_parts else EQUAL_SEGMENTS_S:
         for candidate in candidates:
             try:
                 return _trip_of_all(candidate, generator, settings, direction, segment_s)
@@ -144,10 +161,12 @@ def _trip_of_all(
     chosen = without_loud(segments, groups[0]) if groups else torch.zeros(0, dtype=torch.bool)
     n_chosen = int(chosen.sum())
     # shorter segments leak more, so that fewer averages are no gain
-    least = n_sensors + 1 if segment_s == SEGMENTS_S[0] else max(n_sensors + 1, MIN_AVERAGES)
+    longest = (SEGMENTS_S[0], EQUAL_SEGMENTS_S[0])[not generator.shows_parts]
+    least = n_sensors + 1 if segment_s == longest else max(n_sensors + 1, MIN_AVERAGES)
     if not n_chosen or segments.welch.n_averages(n_chosen) <= least:
         raise NoEstimateError(_too_short(n_chosen, n_sensors, segment_s))
-    bins = _bins(segments.frequencies_hz, segment_s)
+    spacing_hz = SPACING_HZ if generator.shows_parts else EQUAL_SPACING_HZ
+    bins = _bins(segments.frequencies_hz, round(spacing_hz * segment_s))
     matrix = SpectralMatrix.of(segments, chosen).at(bins).of_sensors(order)
     frequencies_hz, lines = segments.frequencies_hz[bins], wheel_lines(recording)
     return BogieTrip(
@@ -164,7 +183,8 @@ def _trip_of_all(
 def _lost_sensors(recording: Recording, generator: SpatialVehicle) -> tuple[str, ...]:
     """Return the places of the generator's at which a recording has no living sensor.
 
-    NoEstimateError if the sensors at its other places do not show the parts.
+    NoEstimateError if the sensors at its other places do not show the parts, or one is missing
+    where no sensors show them.
     """
     assert generator.sensors is not None
     places = _places(recording.manifest, generator.frame_sensor)
@@ -174,7 +194,7 @@ def _lost_sensors(recording: Recording, generator: SpatialVehicle) -> tuple[str,
     if lost and not show_parts(present):
         raise NoEstimateError(
             Finding(
-                "sensors-lost-for-parts",
+                "sensors-lost-for-parts" if generator.shows_parts else "sensors-lost",
                 lost=together(lost, ", "),
                 sensors=together(generator.sensors, ", "),
                 least_sensors=LEAST_SENSORS,
@@ -201,14 +221,14 @@ def sensor_places(
     Sensors in between, such as the mean of two axle boxes, are left out. `frame_sensor` is where
     sensors on the frame at axle 1 really are.
     """
+    return tuple(p for p in _placed(manifest, frame_sensor) if p not in IN_BETWEEN)
+
+
+def _placed(manifest: TripManifest, frame_sensor: Literal["axle", "centre"]) -> tuple[str, ...]:
+    """Return the places of all sensors of a trip, axle boxes first, in the order of ``PLACES``."""
     places = set(_places(manifest, frame_sensor).values())
-    return tuple(place for place in PLACES if place in places and place not in IN_BETWEEN)
-
-
-def show_parts(places: Sequence[str]) -> bool:
-    """Return whether sensors at these places show each part: more than inputs, on both sides."""
-    sides = {place.rpartition("_")[2] for place in places}
-    return len(places) >= LEAST_SENSORS and sides.issuperset(SIDES)
+    kinds = "axle_box", "frame", "body"
+    return tuple(p for kind in kinds for p in PLACES if p.startswith(kind) and p in places)
 
 
 def estimate_parts(
@@ -219,7 +239,8 @@ def estimate_parts(
 ) -> Estimate:
     """Return the ratio to healthy of each part on a trip, one row; `found` names the worn ones.
 
-    Damping is as at the temperature of the healthy trips. The estimate is flagged if no bogie whose
+    Where the sensors do not show each part, it is that of all parts of a kind. Damping is as at
+    the temperature of the healthy trips. The estimate is flagged if no bogie whose
     parts alone have changed explains the trip. NoEstimateError is raised as by `bogie_trip`,
     TripError if two sensors look swapped.
     """
@@ -236,7 +257,8 @@ def estimate_parts(
         flags = flags.with_kind("misfit", "the search for the parts did not end within its steps")
     worn = ""
     if parts.misfit <= LARGEST_MISFIT:  # not NaN
-        worn = together(part.finding for part in worn_parts(parts))
+        if bogie.generator.shows_parts:
+            worn = together(part.finding for part in worn_parts(parts))
     else:
         flags = flags.with_kind("misfit", _unexplained(parts))
     places = _places(recording.manifest, bogie.generator.frame_sensor)
@@ -258,7 +280,7 @@ def _unexplained(parts: PartsEstimate) -> str:
         "parts-explain-nothing",
         misfit=parts.misfit,
         most=LARGEST_MISFIT,
-        furthest=COMPONENTS[furthest],
+        furthest=parts.names[furthest],
         values=100 * parts.values[furthest],
     )
 
@@ -274,8 +296,8 @@ def _places(manifest: TripManifest, frame_sensor: Literal["axle", "centre"]) -> 
     return places
 
 
-def _bins(frequencies_hz: Tensor, segment_s: float) -> Tensor:
+def _bins(frequencies_hz: Tensor, every: int) -> Tensor:
     """Return the numbers of the bins in use, which are the same for all lengths of segments."""
     inside = (frequencies_hz >= LOW_HZ - 1e-9) & (frequencies_hz <= HIGH_HZ + 1e-9)
-    numbers: Tensor = inside.nonzero()[:: round(SPACING_HZ * segment_s), 0]
+    numbers: Tensor = inside.nonzero()[::every, 0]
     return numbers

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.curves.estimates import EstimateSettings
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.flags import INCOMPLETE, UNTRUSTED
 from suspnet.ground.findings import Finding, together
@@ -198,12 +197,6 @@ def unplaced(healthy: HealthyTrips) -> str | None:
     return Finding("sensors-unplaced", names=together(names, ", "))
 
 
-def usable_minutes(healthy: HealthyTrips, settings: EstimateSettings) -> float:
-    """Return about how many minutes of a trip are usable at one speed."""
-    usual = float(np.median([group.spectra.n_averages for group in healthy.groups]))
-    return settings.minutes * usual / settings.n_averages
-
-
 def verdict(healthy: HealthyTrips, outcome: Commissioned) -> str:
     """Return a sentence on whether the vehicle explains its healthy trips."""
     n_trips, n_groups = len(healthy.manifests), len(healthy.groups)
@@ -216,7 +209,9 @@ def verdict(healthy: HealthyTrips, outcome: Commissioned) -> str:
 
 
 def of_parts(bogie: CommissionedBogie) -> str:
-    """Return a sentence on a bogie of which each part is read."""
+    """Return a sentence on a bogie of which each part is read, or all of a kind as equal."""
+    if not bogie.generator.shows_parts:
+        return Finding("kinds-are-read", misfit=bogie.misfit)
     healthy = dict(zip(bogie.healthy.names, bogie.healthy.values, strict=True))
     spreads = {}
     for kind, name in (("k", "springs"), ("c", "dampers")):
@@ -264,7 +259,7 @@ def errors_of_parts(bogie: CommissionedBogie, healthy: HealthyTrips) -> str:
 
 def reach_of_parts(bogie: CommissionedBogie) -> str:
     """Return a sentence on the loss from which parts are named, the worst of each kind."""
-    if bogie.scatter is None:
+    if bogie.scatter is None or not bogie.generator.shows_parts:
         return ""
     return Finding("named-from", **hardest_losses(least_losses(bogie)))
 

@@ -18,7 +18,7 @@ from suspnet.estimation.fitted import Model
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.findings import Finding, together, with_values, without
 from suspnet.ground.records import ERROR, OK
-from suspnet.trains.identification.bogie_trips import sensor_places, show_parts
+from suspnet.trains.identification.bogie_trips import sensor_places
 from suspnet.trains.identification.from_recording import no_channel
 from suspnet.trains.identification.rig_records import exchanged, loaded, read_record, reading_of
 from suspnet.trains.pages.check_page import (
@@ -48,6 +48,7 @@ from suspnet.trains.trips.commissionings import models_at, models_of
 from suspnet.trains.trips.sensor_checks import NO_DIRECTION, check_bogie, check_sensors
 from suspnet.trains.trips.trip import evaluate_recording
 from suspnet.vehicle import Vehicle, best_generator
+from suspnet.vehicle.quantities import show_parts
 from suspnet.vehicle.rig import Rig
 
 log = logging.getLogger(__name__)

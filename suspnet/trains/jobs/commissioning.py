@@ -17,7 +17,7 @@ from suspnet.ground.storage import write_json
 from suspnet.ground.tensors import threads
 from suspnet.runs.train import environment
 from suspnet.trains.fits.bogie_fit import EXPLAINED, FURTHER_PARTS, commission_bogie
-from suspnet.trains.fits.commissioning import Commissioned, as_bogie, commission
+from suspnet.trains.fits.commissioning import Commissioned, as_bogie
 from suspnet.trains.identification import commissioning_summary as words
 from suspnet.trains.identification.healthy_trips import HealthyTrips
 from suspnet.trains.recordings.errors import all_of
@@ -38,38 +38,24 @@ def commission_trips(
     generator: ResponseGenerator,
     settings: EstimateSettings,
     *,
-    bogie: CommissionedBogie | None = None,
-    progress: bool = False,
+    bogie: CommissionedBogie,
 ) -> Commissioned:
-    """Return the vehicle that healthy trips show, both sides and axles as equal.
+    """Return the vehicle of a `bogie` with both sides and axles as equal, and the trips' curves.
 
     `generator` is the nominal vehicle; without parts it gets all but the air spring, without a
-    distribution the prior of its parts. With a `bogie` it is that of the bogie, beside the curves
-    of the trips. ValueError if the generator cannot be commissioned.
+    distribution the prior of its parts. ValueError if the generator cannot be commissioned.
     """
     generator = check_generator(generator)
     settings = settings.bound(generator.vehicle)
     for reason in healthy.left_out:
         log.warning("left out of the healthy trips: %s", reason)
-    prior = _prior(generator, healthy)
-    if bogie is not None:
-        return as_bogie(prior, settings, healthy.groups, bogie)
-    _log_doubts(healthy)
-    outcome = commission(prior, settings, healthy.groups, progress=progress)
-    log.info("%s %s", words.verdict(healthy, outcome), words.agreement(outcome))
-    for doubt in [*words.doubts(outcome), words.mass_doubt(outcome.masses)]:
-        if doubt:
-            log.warning("%s", doubt)
-    if not words.is_explained(outcome) and not any(generator.sensor_lateral_m):
-        if hint := words.unplaced(healthy):
-            log.warning("%s", hint)
-    return outcome
+    return as_bogie(prior_of(generator, healthy), settings, healthy.groups, bogie)
 
 
 # one thread: systems of 30 equations are too small for two, and results are the same anywhere
 @threads(1)
 def commission_parts(healthy: HealthyTrips, trips: TripSettings) -> CommissionedBogie:
-    """Return the bogie that healthy trips, whose sensors show it, show part by part.
+    """Return the bogie that healthy trips show: each part, or all of a kind as equal.
 
     TripError if sensors look swapped, or the trips show the
     other bogie.
@@ -96,6 +82,8 @@ def commission_parts(healthy: HealthyTrips, trips: TripSettings) -> Commissioned
     log.info("%s", words.of_parts(bogie))
     for doubt in words.doubts_of_parts(bogie):
         log.warning("%s", doubt)
+    if bogie.misfit > EXPLAINED and (hint := words.unplaced(healthy)):
+        log.warning("%s", hint)
     return bogie
 
 
@@ -123,7 +111,7 @@ def check_generator(generator: ResponseGenerator) -> VerticalVehicle:
     return generator
 
 
-def _prior(generator: VerticalVehicle, healthy: HealthyTrips) -> VerticalVehicle:
+def prior_of(generator: VerticalVehicle, healthy: HealthyTrips) -> VerticalVehicle:
     """Return the generator with parts, sensor positions and a prior to start from."""
     # each channel's lateral position: 0 for a pair, else as given, else by its side
     manifest, given_m = healthy.manifests[0], generator.sensor_lateral_m

@@ -47,7 +47,8 @@ def report_details(
 
 def _model_words(model: Model) -> str:
     if isinstance(model, BogieModel):
-        return Finding("commissioned-bogie")
+        is_each = model.bogie.generator.shows_parts
+        return Finding("commissioned-bogie" if is_each else "commissioned-vehicle")
     n, kind = model.training.get("n_train", 0), type(model.generator).__name__
     return Finding("trained", name=model.name, n=n, kind=kind)
 
@@ -78,7 +79,7 @@ def healthy_words(model: Model) -> str:
 
 def misfit_words(model: Model) -> str:
     """Return the misfit of a model's healthy trips, as text."""
-    if isinstance(model, BogieModel):
+    if isinstance(model, BogieModel) and model.bogie.generator.shows_parts:
         return Finding("misfit-of-parts", misfit=model.bogie.misfit)
     misfit = model.training.get("commissioned", {}).get("misfit")
     if misfit is None:

@@ -26,9 +26,10 @@ from suspnet.ground.findings import Finding, at, together
 from suspnet.ground.types import BoolArray, ComplexArray, FloatArray
 from suspnet.trains.recordings.cleaning import Fault, runs
 from suspnet.trains.recordings.errors import DeadSensorError, TripError
-from suspnet.trains.recordings.manifest import LEAST_SENSORS, TripManifest
+from suspnet.trains.recordings.manifest import TripManifest
 from suspnet.trains.recordings.manifest_sources import partner_of
 from suspnet.trains.recordings.sensor import SensorSignal
+from suspnet.vehicle.quantities import LEAST_SENSORS
 
 DEAD = "dead"
 """Kind of the fault of a dead sensor."""

@@ -33,6 +33,7 @@ from suspnet.trains.recordings.manifest_sources import (
     partner_of,
     required,
 )
+from suspnet.vehicle.quantities import LEAST_SENSORS
 
 FORMAT = "suspnet-trip-1"
 RECORD_FORMAT = "suspnet-record-1"
@@ -41,9 +42,6 @@ CHANNELS = ("axle_box", "bogie", "body")
 """The three vertical accelerometers, in the order of every array of signals."""
 RIG_CHANNELS = ("base", "frame", "body")
 """Names of ``CHANNELS`` in the manifests of rigs."""
-LEAST_SENSORS = 4
-"""Least number of sensors that show each spring and damper: one more than the unknown spectra of
-the track, those of elevation, cross level and alignment."""
 NAME = f"text, at most {MOST_NAME} characters"
 """Type of the names in a manifest."""
 TEMPERATURES_C = (-60.0, 60.0)

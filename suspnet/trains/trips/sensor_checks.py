@@ -20,7 +20,6 @@ from suspnet.trains.identification.bogie_trips import (
     PARTS_OF_BOGIE,
     bogie_trip,
     sensor_places,
-    show_parts,
 )
 from suspnet.trains.recordings.errors import all_of
 from suspnet.trains.recordings.manifest import TripManifest
@@ -42,6 +41,7 @@ from suspnet.trains.spectra.bogie_trip import BogieTrip
 from suspnet.trains.spectra.segments import difference_segments, in_band, segment_speeds
 from suspnet.trains.spectra.steady_parts import speed_of
 from suspnet.vehicle import SpatialVehicle, Vehicle, VerticalVehicle, best_generator
+from suspnet.vehicle.quantities import show_parts
 
 NO_DIRECTION = (
     "the phases do not show the direction of travel: give `direction: forward` or `direction: "
