@@ -16,11 +16,10 @@ from suspnet.curves.welch import Welch
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.flags import BOGIE_NOT_CONVERGED, with_doubt
-from suspnet.estimation.intervals import LARGEST_MISFIT
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.findings import Finding, at, together
 from suspnet.ground.parameters import FORWARD, Direction
-from suspnet.trains.fits.bogie_fit import PartsEstimate, fit_parts
+from suspnet.trains.fits.bogie_fit import fit_parts
 from suspnet.trains.fits.worn_parts import worn_parts
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.manifest import TripManifest
@@ -57,6 +56,9 @@ With bins ``SPACING_HZ`` apart, parts of two trains of tests/blind_train.py were
 times what they were with 120 s, by 20 s those of one train by up to 2.5 times that."""
 MIN_AVERAGES = 10
 """Averages that a trip must exceed."""
+UNLIKE_HEALTHY = 3.0
+"""Misfit of a trip, over noise and errors that the healthy trips show, from which it is flagged:
+something else than springs and dampers has changed."""
 LOW_HZ, HIGH_HZ = 0.5, 18.0
 """Ends of the band: below, accelerometers drift; above, frame and body have modes of their own."""
 SPACING_HZ, EQUAL_SPACING_HZ = 0.1, 0.05
@@ -236,9 +238,8 @@ def estimate_parts(
     """Return the ratio to healthy of each part on a trip, one row; `found` names the worn ones.
 
     Where the sensors do not show each part, it is that of all parts of a kind. Damping is as at
-    the temperature of the healthy trips. The estimate is flagged if no bogie whose
-    parts alone have changed explains the trip. NoEstimateError is raised as by `bogie_trip`,
-    TripError if two sensors look swapped.
+    the temperature of the healthy trips. The estimate is flagged if the trip is unlike the healthy
+    ones. NoEstimateError is raised as by `bogie_trip`, TripError if two sensors look swapped.
     """
     trip = bogie_trip(recording, bogie.generator, settings, direction)
     if settings.check_channels:
@@ -251,12 +252,12 @@ def estimate_parts(
     flags = with_doubt(estimate.flags, has_converged=bogie.converged, words=BOGIE_NOT_CONVERGED)
     if not parts.converged:
         flags = flags.with_kind("misfit", "the search for the parts did not end within its steps")
+    # its covariance grows with the misfit, so that none alone silences a verdict
     worn = ""
-    if parts.misfit <= LARGEST_MISFIT:  # not NaN
-        if bogie.generator.shows_parts:
-            worn = together(part.finding for part in worn_parts(parts))
-    else:
-        flags = flags.with_kind("misfit", _unexplained(parts))
+    if bogie.generator.shows_parts and np.isfinite(parts.misfit):
+        worn = together(part.finding for part in worn_parts(parts))
+    if not parts.misfit <= UNLIKE_HEALTHY:  # also NaN
+        flags = flags.with_kind("misfit", Finding("unlike-healthy", misfit=parts.misfit))
     places = _places(recording.manifest, bogie.generator.frame_sensor)
     names = {place: name for name, place in places.items()}
     return replace(
@@ -266,18 +267,6 @@ def estimate_parts(
         found=worn,
         misfit=parts.misfit,
         lost=tuple(names.get(place, place) for place in trip.lost),
-    )
-
-
-def _unexplained(parts: PartsEstimate) -> str:
-    """Return why an estimate of parts is not one, and which part is furthest from healthy."""
-    furthest = int(np.argmax(np.abs(np.log(parts.values[:-1]))))
-    return Finding(
-        "parts-explain-nothing",
-        misfit=parts.misfit,
-        most=LARGEST_MISFIT,
-        furthest=parts.names[furthest],
-        values=100 * parts.values[furthest],
     )
 
 
