@@ -40,7 +40,7 @@ from suspnet.ground.tensors import threads
 from suspnet.runs.predict import N_COST, WORN
 from suspnet.trains.fits.bogie_fit import commission_bogie, fit_parts
 from suspnet.trains.fits.commissioning import Commissioned, commission
-from suspnet.trains.identification.bogie_trips import SEGMENT_S, bogie_trip, bogie_vehicle
+from suspnet.trains.identification.bogie_trips import SEGMENTS_S, bogie_trip, bogie_vehicle
 from suspnet.trains.identification.healthy_trips import read_healthy
 from suspnet.trains.jobs.commissioning import FAMILY, prior_of
 from suspnet.trains.spectra.bogie_trip import BogieTrip
@@ -74,6 +74,10 @@ TRANSFER = {
 LEVEL = 0.9
 N_HEALTHY = 5
 BAND_HZ = (0.5, 18.0)
+LONG = 15.0
+"""Minutes of a trip from which segments are as long as those of the programs."""
+SHORT_S = 40.0
+"""Length of the segments of six sensors on shorter trips, [s]: seven averages in 5 minutes."""
 
 
 @dataclass(frozen=True)
@@ -280,7 +284,7 @@ def read_case(case, options, folder):
     is_of_three = case.layout in ("one side", "pairs")
     for way, parts in [TIED[key] for key in options.ways if is_of_three and key in TIED]:
         vehicle = middle_vehicle(case, parts)
-        segment_s = options.segment_s or SEGMENT_S
+        segment_s = options.segment_s or SEGMENTS_S[case.minutes < LONG]
         trips = [matrix_trip(one, vehicle, segment_s, options.spacing_hz) for one in recordings]
         rows += by_matrices(case, trips, vehicle, worn, {way: True})
         merged(rows, options.output)

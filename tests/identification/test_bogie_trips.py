@@ -84,7 +84,7 @@ def test_bins_averages_and_speed_are_those_of_the_recording(short):
     spacing = trip.frequencies_hz.diff()
     torch.testing.assert_close(spacing, torch.full_like(spacing, SPACING_HZ))
     assert trip.spectra.values.shape == (len(trip.frequencies_hz), 6, 6)
-    assert trip.spectra.n_averages == pytest.approx(32, abs=3)
+    assert trip.spectra.n_averages == pytest.approx(10, abs=1.5)
     assert trip.speed_m_per_s == pytest.approx(70.0, abs=0.5)
 
 
@@ -94,8 +94,8 @@ def test_bins_with_lines_of_wheels_are_left_out(short, monkeypatch):
     monkeypatch.setattr(bogie_trips, "wheel_lines", lambda recording: (line,))
     trip = bogie_trip(short, VEHICLE)
     held = trip.frequencies_hz[trip.left_out]
-    assert len(held) < 20
-    assert float((held - 10.0).abs().max()) < 1.0
+    assert len(held) < 10
+    assert float((held - 10.0).abs().max()) < 0.5
     kept = trip.frequencies_hz[trip.of(torch.arange(len(trip.frequencies_hz)))]
     assert float((kept - 10.0).abs().min()) > 0.02
 
@@ -210,7 +210,7 @@ def test_no_damper_is_named_for_the_weather(short, monkeypatch):
     np.testing.assert_allclose(estimate.low, expected.low, rtol=1e-9)
 
 
-def test_a_short_trip_is_read_on_the_same_bins(short):
+def test_a_short_trip_is_read_from_shorter_segments(short):
     kept = round(5.5 * 60 * RATE_HZ)
     usable = short.usable & (np.arange(len(short.usable)) < kept)
     trip, whole = bogie_trip(replace(short, usable=usable), VEHICLE), bogie_trip(short, VEHICLE)
@@ -224,7 +224,7 @@ def test_a_sensor_that_breaks_the_trip_up_is_left_out(short, name):
     every = bogie_trip(short, VEHICLE)
     n, minute = len(short.usable), round(60 * RATE_HZ)
     loose, one_second = np.zeros((2, n), dtype=np.bool_)
-    for start in range(0, n, minute // 2):  # leaves no segment of 40 s
+    for start in range(0, n, minute):
         loose[start : start + 500] = True
     one_second[200:300] = True
     faulty = {name: loose, "bogie right": one_second}

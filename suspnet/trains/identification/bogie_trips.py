@@ -50,20 +50,19 @@ EQUAL_PARTS = tuple(part for part in PARTS_OF_BOGIE if part not in ADDITIONS)
 body, and all parts of a kind wear alike."""
 SHARED = ("bogie", "axle", "frame_sensor", "body_sensor_m", "nominal")
 """Settings that it shares with the vehicle of both sides as equal."""
-SEGMENT_S = 40.0
-"""Length of segments: shorter ones give more averages, and leak more of a bin to its neighbours.
-With bins ``SPACING_HZ`` apart, parts of two trains of tests/blind_train.py were off by .6 to 1.0
-times what they were with 120 s, by 20 s those of one train by up to 2.5 times that."""
+SEGMENTS_S, EQUAL_SEGMENTS_S = (120.0, 60.0, 40.0), (40.0,)
+"""Lengths of segments, and those where all parts of a kind are equal. The first that gives enough
+averages is taken: the shorter a segment, the more of a bin is leaked by its neighbours."""
 MIN_AVERAGES = 10
-"""Averages that a trip must exceed."""
+"""Averages that shorter segments than the first must exceed."""
 UNLIKE_HEALTHY = 3.0
 """Misfit of a trip, over noise and errors that the healthy trips show, from which it is flagged:
 something else than springs and dampers has changed."""
 LOW_HZ, HIGH_HZ = 0.5, 18.0
 """Ends of the band: below, accelerometers drift; above, frame and body have modes of their own."""
 SPACING_HZ, EQUAL_SPACING_HZ = 0.1, 0.05
-"""Distance of the bins, and that where all parts of a kind are equal. Both are far enough for bins
-to be independent: those of Hann windows that are two bins apart share 3 % of their power."""
+"""Distance of the bins, far enough for them to be independent. Few sensors need every independent
+bin of a trip: two bins of its segments, whose Hann windows share 3 % of their power."""
 
 
 def bogie_vehicle(
@@ -124,13 +123,14 @@ def bogie_trip(
         whose faults break it up the most.
     """
     settings = settings or TripSettings()
-    reasons = []
-    for candidate in _candidates(recording):
-        try:
-            return _trip_of_all(candidate, generator, settings, direction)
-        except NoEstimateError as reason:
-            reasons.append(reason)
-    raise reasons[0]  # of all sensors
+    candidates, reasons = _candidates(recording), []
+    for segment_s in SEGMENTS_S if generator.shows_parts else EQUAL_SEGMENTS_S:
+        for candidate in candidates:
+            try:
+                return _trip_of_all(candidate, generator, settings, direction, segment_s)
+            except NoEstimateError as reason:
+                reasons.append(reason)
+    raise reasons[-len(candidates)]  # of all sensors, with the shortest segments
 
 
 def _candidates(recording: Recording) -> list[Recording]:
@@ -146,14 +146,15 @@ def _trip_of_all(
     generator: SpatialVehicle,
     settings: TripSettings,
     direction: Direction | None,
+    segment_s: float,
 ) -> BogieTrip:
     """Return the spectral matrix of all sensors of a recording, as of `bogie_trip`."""
     assert generator.sensors is not None
     lost = _lost_sensors(recording, generator)
     n_sensors = len(generator.sensors) - len(lost)
-    if recording.duration_s < SEGMENT_S:
-        raise NoEstimateError(_too_short(0, n_sensors))
-    names, segments = sensor_segments(recording, Welch(SEGMENT_S))
+    if recording.duration_s < segment_s:
+        raise NoEstimateError(_too_short(0, n_sensors, segment_s))
+    names, segments = sensor_segments(recording, Welch(segment_s))
     place_of = _places(recording.manifest, generator.frame_sensor)
     places = [place_of.get(name) for name in names]
     order = [places.index(place) for place in generator.sensors if place not in lost]
@@ -161,10 +162,13 @@ def _trip_of_all(
     groups = groups_to_read(speeds, settings.speed_tolerance, settings.min_speed_m_per_s)
     chosen = without_loud(segments, groups[0]) if groups else torch.zeros(0, dtype=torch.bool)
     n_chosen = int(chosen.sum())
-    if not n_chosen or segments.welch.n_averages(n_chosen) <= max(n_sensors + 1, MIN_AVERAGES):
-        raise NoEstimateError(_too_short(n_chosen, n_sensors))
+    # shorter segments leak more, so that fewer averages are no gain
+    longest = (SEGMENTS_S[0], EQUAL_SEGMENTS_S[0])[not generator.shows_parts]
+    least = n_sensors + 1 if segment_s == longest else max(n_sensors + 1, MIN_AVERAGES)
+    if not n_chosen or segments.welch.n_averages(n_chosen) <= least:
+        raise NoEstimateError(_too_short(n_chosen, n_sensors, segment_s))
     spacing_hz = SPACING_HZ if generator.shows_parts else EQUAL_SPACING_HZ
-    bins = _bins(segments.frequencies_hz, round(spacing_hz * SEGMENT_S))
+    bins = _bins(segments.frequencies_hz, round(spacing_hz * segment_s))
     matrix = SpectralMatrix.of(segments, chosen).at(bins).of_sensors(order)
     frequencies_hz, lines = segments.frequencies_hz[bins], wheel_lines(recording)
     return BogieTrip(
@@ -173,7 +177,7 @@ def _trip_of_all(
         float(speeds[chosen].mean()),
         direction or recording.manifest.direction or FORWARD,
         lost,
-        line_bins(lines, speeds[chosen], frequencies_hz, SEGMENT_S) if lines else None,
+        line_bins(lines, speeds[chosen], frequencies_hz, segment_s) if lines else None,
         segments.welch,
     )
 
@@ -201,13 +205,13 @@ def _lost_sensors(recording: Recording, generator: SpatialVehicle) -> tuple[str,
     return lost
 
 
-def _too_short(n_segments: int, n_sensors: int) -> str:
+def _too_short(n_segments: int, n_sensors: int, segment_s: float) -> str:
     least = math.nextafter(max(n_sensors + 1, MIN_AVERAGES), math.inf)
     return Finding(
         "too-short-for-parts",
         n_sensors=n_sensors,
-        seconds_each=SEGMENT_S,
-        minutes=minutes_words(Welch(SEGMENT_S), n_segments, least),
+        seconds_each=segment_s,
+        minutes=minutes_words(Welch(segment_s), n_segments, least),
     )
 
 
@@ -282,7 +286,7 @@ def _places(manifest: TripManifest, frame_sensor: Literal["axle", "centre"]) -> 
 
 
 def _bins(frequencies_hz: Tensor, every: int) -> Tensor:
-    """Return the numbers of the bins in use, one of `every`."""
+    """Return the numbers of the bins in use, which are the same for all lengths of segments."""
     inside = (frequencies_hz >= LOW_HZ - 1e-9) & (frequencies_hz <= HIGH_HZ + 1e-9)
     numbers: Tensor = inside.nonzero()[::every, 0]
     return numbers
