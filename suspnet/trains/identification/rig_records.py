@@ -21,11 +21,9 @@ from suspnet.ground.wording import ShortRepr
 from suspnet.trains.fits.rig_fit import better_order, fit_rig
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.manifest import (
-    CHANNELS,
     RIG_CHANNELS,
     RecordManifest,
     TripManifest,
-    rig_words,
 )
 from suspnet.trains.recordings.manifest_files import read_manifest
 from suspnet.trains.recordings.recording import load_recording
@@ -73,36 +71,24 @@ class RigRecord(ShortRepr):
         object.__setattr__(self, "signals", signals)
 
 
-def load_record(path: Path | str) -> RigRecord:
+def load_record(manifest: TripManifest | Path | str) -> RigRecord:
     """Return a record by its manifest, cleaned and at the lowest rate of its sensors.
 
     TripError if the manifest is not that of a rig, or its files cannot be read.
     """
-    return loaded(read_manifest(path))
-
-
-def loaded(manifest: TripManifest) -> RigRecord:
-    """Return a record as `load_record` does."""
+    if not isinstance(manifest, TripManifest):
+        manifest = read_manifest(manifest)
     if not isinstance(manifest, RecordManifest):
         raise TripError(f"{manifest.path}: a rig's record is of `format: suspnet-record-1`")
-    recording = load_recording(manifest, _rate_hz(manifest))
-    return RigRecord(
-        np.stack([recording.values[name] for name in CHANNELS]),
-        recording.rate_hz,
-        manifest.name,
-        recording.usable,
-        rig_words("; ".join(map(str, recording.faults))),
-    )
-
-
-def _rate_hz(manifest: TripManifest) -> float:
-    """Return the lowest rate of a record's sensors, [Hz]."""
-    rates = []
+    rates_hz = []
     for name, sensor in manifest.sensors().items():
         with open_source(manifest, sensor, manifest.where(name)) as source:
             next(source.even(LITTLE_HZ))  # the first block of times gives the rate
-            rates.append(source.known_rate_hz)
-    return float(f"{min(rates):.6g}")
+            rates_hz.append(source.known_rate_hz)
+    recording = load_recording(manifest, float(f"{min(rates_hz):.6g}"))
+    signals = np.stack([recording.values[name] for name in RIG_CHANNELS])
+    faults = "; ".join(map(str, recording.faults))
+    return RigRecord(signals, recording.rate_hz, manifest.name, recording.usable, faults)
 
 
 def reading_of(rig: Rig, records: Sequence[RigRecord]) -> tuple[float, tuple[float, float]]:
@@ -130,19 +116,9 @@ def reading_of(rig: Rig, records: Sequence[RigRecord]) -> tuple[float, tuple[flo
 def commission_rig(rig: Rig, records: Sequence[RigRecord]) -> CommissionedRig:
     """Return a rig as its healthy records show it.
 
-    Parameters
-    ----------
-    rig : Rig
-        What is roughly known of it.
-    records : sequence of RigRecord
-        At least three, better five or more, as differently excited as later ones.
-
-    Raises
-    ------
-    NoEstimateError
-        If one is too short or does not show the suspension, or is sampled too slowly.
-    ValueError
-        If there are fewer than three, or the sensors of one look exchanged.
+    There must be three, better are five or more, as differently excited as later ones.
+    NoEstimateError if one is too short, does not show the suspension, or is sampled too slowly;
+    ValueError if there are too few, or the sensors of one look exchanged.
     """
     check_enough(len(records))
     segment_s, band_hz = reading_of(rig, records)

@@ -20,7 +20,7 @@ from suspnet.ground.findings import Finding, together, with_values, without
 from suspnet.ground.records import ERROR, OK
 from suspnet.trains.identification.bogie_trips import sensor_places, show_parts
 from suspnet.trains.identification.from_recording import no_channel
-from suspnet.trains.identification.rig_records import loaded, read_record, reading_of
+from suspnet.trains.identification.rig_records import load_record, read_record, reading_of
 from suspnet.trains.pages.check_page import (
     NEED_A_VEHICLE,
     PROBLEM,
@@ -213,7 +213,7 @@ def _inspected(
 
 def _of_rig(result: TripCheck, manifest: RecordManifest, settings: CheckSettings) -> TripCheck:
     """Return the check of a record of a rig."""
-    record, rig = loaded(manifest), settings.rigs.get(manifest.vehicle)
+    record, rig = load_record(manifest), settings.rigs.get(manifest.vehicle)
     assert record.usable is not None
     result = _with_remarks(
         result,

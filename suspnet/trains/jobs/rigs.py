@@ -28,7 +28,7 @@ from suspnet.ground.progress import bar
 from suspnet.ground.records import ERROR, INTERVAL_LEVEL, NO_ESTIMATE, OK
 from suspnet.ground.storage import printable, write_json, write_table
 from suspnet.ground.tensors import threads
-from suspnet.trains.identification.rig_records import commission_rig, loaded, read_record
+from suspnet.trains.identification.rig_records import commission_rig, load_record, read_record
 from suspnet.trains.recordings.errors import TripError, all_of
 from suspnet.trains.recordings.manifest import RecordManifest
 from suspnet.trains.recordings.manifest_files import ManifestFile, find_manifests, is_of_rig
@@ -115,7 +115,7 @@ def commission_folder(
     manifests = all_of(partial(_manifest, path, rig.name) for path in find_manifests(folder))
     if all(manifest.start is not None for manifest in manifests):
         manifests.sort(key=lambda manifest: (str(manifest.start), manifest.name))
-    records = all_of(partial(loaded, manifest) for manifest in manifests[:n_healthy])
+    records = all_of(partial(load_record, manifest) for manifest in manifests[:n_healthy])
     try:
         commissioned = commission_rig(rig, records)
     except (NoEstimateError, ValueError) as reason:
@@ -178,7 +178,7 @@ def _result(rig: CommissionedRig, path: Path, level: float) -> RigResult:
     result = RigResult(path.stem, ERROR)
     try:
         manifest = _manifest(path, rig.rig.name)
-        record = loaded(manifest)
+        record = load_record(manifest)
         result = replace(result, start=manifest.start, faults=record.faults)
         reading = read_record(rig.rig, record, rig.segment_s, (rig.low_hz, rig.high_hz))
     except NoEstimateError as reason:
