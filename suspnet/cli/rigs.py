@@ -10,7 +10,6 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from suspnet.cli import program
-from suspnet.cli.folders import ACT, FINE, NOTICE, SOME_WITHOUT_ESTIMATE, worst
 from suspnet.cli.kinds import build, plain
 from suspnet.ground.extras import check_extra, optional
 from suspnet.ground.parameters import DEFAULT_LIMITS, Severity, read_limits
@@ -29,7 +28,6 @@ with optional("trips"):
     )
 
 log = logging.getLogger(__name__)
-CODES = {Severity.UNKNOWN: SOME_WITHOUT_ESTIMATE, Severity.NOTICE: NOTICE, Severity.ACT: ACT}
 OF_ANY = ("job", "seed", "threads", "progress", "figures", "language")
 OF_TRAINING = ("vehicle", "healthy", "n_healthy", "experiment", *OF_ANY)
 OF_READING = ("run", "trips", "monitor.limits", "monitor.trips.level", *OF_ANY)
@@ -74,8 +72,8 @@ def is_rig_run(run: object) -> bool:
     return isinstance(run, str) and (Path(run) / RIG_FILE).is_file()
 
 
-def evaluate_rig(config: DictConfig, output: Path) -> int:
-    """Read a folder of records with a commissioned rig; return the exit code."""
+def evaluate_rig(config: DictConfig, output: Path) -> list[Severity]:
+    """Read a folder of records with a commissioned rig; return how urgent each is."""
     if config.trips is None:
         raise ValueError(f"{config.run} holds a rig, which reads records: give trips=DIR")
     _check_typed(OF_READING)
@@ -91,7 +89,7 @@ def evaluate_rig(config: DictConfig, output: Path) -> int:
     for line in reading_lines(rig, results, level):
         log.info("%s", line)
     log.info("-> %s", output / "records.csv")
-    return worst(CODES.get(result.severity, FINE) for result in results)
+    return [result.severity for result in results]
 
 
 def _check_typed(allowed: tuple[str, ...]) -> None:

@@ -211,11 +211,6 @@ class CommissionedRig(ShortRepr):
                 )
 
     @property
-    def logs(self) -> FloatArray:
-        """Mean of the healthy records' logarithms, (5,)."""
-        return Logs.mean(self.readings).logs
-
-    @property
     def misfit(self) -> float:
         """Rms of the healthy records' misfits without errors of the physics."""
         squares = np.square([reading.bare_misfit for reading in self.readings])

@@ -176,21 +176,12 @@ def fit_rig(rig: Rig, spectra: RigSpectra) -> RigReading:
     misfit, bare_misfit = fit.rms(x), RigMisfit(spectra, nothing).rms(x)
     # noise that is estimated too large has a misfit below 1
     prior = np.diag(1 / np.square(DEVIATIONS))
-    covariance = np.linalg.inv(jacobian.T @ jacobian / misfit**2 + prior)
-    return RigReading(
-        x,
-        covariance,
-        _influences(
-            np.linalg.inv(jacobian.T @ jacobian + prior),
-            jacobian,
-            residuals,
-            1 - 0.5 / max(1.0, bare_misfit) ** 2,
-        ),
-        fit.errors,
-        misfit,
-        bare_misfit,
-        bool(end.success),
-    )
+    information = jacobian.T @ jacobian
+    covariance = np.linalg.inv(information / misfit**2 + prior)
+    q = 1 - 0.5 / max(1.0, bare_misfit) ** 2
+    influences = _influences(np.linalg.inv(information + prior), jacobian, residuals, q)
+    converged = bool(end.success)
+    return RigReading(x, covariance, influences, fit.errors, misfit, bare_misfit, converged)
 
 
 def better_order(rig: Rig, spectra: RigSpectra, logs: FloatArray) -> tuple[int, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
@@ -128,7 +129,8 @@ def commission_folder(
 def summary_of(rig: CommissionedRig) -> dict[str, Any]:
     """Return what healthy records show of a rig, as JSON-able values."""
     mass_kg = rig.rig.bogie_mass_kg
-    si = [] if mass_kg is None else (mass_kg * np.exp(rig.logs)).tolist()
+    logs = np.mean([reading.logs for reading in rig.readings], axis=0)
+    si = [] if mass_kg is None else (mass_kg * np.exp(logs)).tolist()
     names = ("low_hz", "high_hz", "segment_s", "misfit", "error", "records")
     return {
         "rig": rig.rig.name,
@@ -142,7 +144,7 @@ def summary_of(rig: CommissionedRig) -> dict[str, Any]:
 def commissioning_lines(rig: CommissionedRig) -> list[str]:
     """Return what healthy records show of a rig, as lines."""
     healthy = rig.healthy()
-    rows = [[words, f"{healthy[n].value:.4g}", _interval(healthy[n])] for n, words in SHOWN.items()]
+    rows = [[words, *_texts(healthy[name])] for name, words in SHOWN.items()]
     level = f"{100 * INTERVAL_LEVEL:g} % interval"
     return [
         f"{rig.rig.name}: {len(rig.readings)} healthy records, {rig.low_hz:.3g} to "
@@ -218,12 +220,15 @@ def reading_lines(rig: CommissionedRig, results: Sequence[RigResult], level: flo
     return [printable(line) for line in lines]
 
 
+def _texts(value: Value, scale: float = 1.0) -> tuple[str, str]:
+    """Return a number and its interval with as many digits as that is worth."""
+    if value.high > WIDEST * value.low:
+        return f"{scale * value.value:.3g}", NOT_SHOWN
+    digits = max(3, 1 - math.floor(math.log10(max(value.high / value.low - 1, 1e-5))))
+    texts = [f"{scale * end:.{digits}g}" for end in (value.value, value.low, value.high)]
+    return texts[0], f"{texts[1]} to {texts[2]}"
+
+
 def _percent(ratio: Value) -> str:
-    value, low, high = 100 * ratio.value, 100 * ratio.low, 100 * ratio.high
-    interval = _interval(Value(value, low, high))
-    return interval if interval == NOT_SHOWN else f"{value:.4g} ({interval})"
-
-
-def _interval(value: Value) -> str:
-    """Return the ends of an interval, or that the record does not show the number."""
-    return NOT_SHOWN if value.high > WIDEST * value.low else f"{value.low:.4g} to {value.high:.4g}"
+    value, interval = _texts(ratio, 100.0)
+    return interval if interval == NOT_SHOWN else f"{value} ({interval})"

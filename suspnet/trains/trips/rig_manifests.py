@@ -44,7 +44,10 @@ def as_said_for_trips(words: Iterable[str]) -> list[str]:
 def as_record(trip: Trip) -> Trip:
     """Return the manifest of a trip as that of a record, which needs neither place nor speed."""
     content = parse_yaml(trip.text)
-    channels, missing = {}, [key for key in trip.missing if key in ("vehicle", "unit", "rate_hz", "range")]
+    channels, missing = (
+        {},
+        [key for key in trip.missing if key in ("vehicle", "unit", "rate_hz", "range")],
+    )
     for ours, theirs in zip(CHANNELS, RIG_CHANNELS, strict=True):
         sources = (content.get("channels") or {}).get(ours, [])
         if len(sources) == 1:
