@@ -56,6 +56,8 @@ ABSOLUTE: Mapping[str, tuple[FloatArray, float]] = {
 """Direction and factor of what is read as it is: the numbers of ``Rig``."""
 SHAPES = {"logs": (5,), "covariance": (5, 5), "influences": (BANDS, 5), "errors": (-1, 3)}
 """Shapes of the arrays of a reading; -1 is any number of frequencies."""
+EXPLAINED = 1.0
+"""Rough misfit from which two masses on springs do not explain a record."""
 LARGEST_LOG = 300.0
 """Largest logarithm of an end of an interval: a damper that no record shows may be anything."""
 MOST_UNCERTAIN = 0.5
@@ -102,13 +104,14 @@ class RigReading(Logs):
     """The numbers of a rig from one record alone.
 
     `errors` (n_freq, 3) [-] are the fractions of each signal that the physics errs by; `misfit` is
-    the rms residual over noise and errors, `bare_misfit` that over noise alone. ValueError or
-    TypeError if a number is impossible.
+    the rms residual over noise and errors, `bare_misfit` that over noise alone, `rough_misfit` that
+    over noise and large errors. ValueError or TypeError if a number is impossible.
     """
 
     errors: FloatArray
     misfit: float
     bare_misfit: float
+    rough_misfit: float
     converged: bool
 
     def __post_init__(self) -> None:
@@ -122,9 +125,17 @@ class RigReading(Logs):
             raise ValueError("`covariance` must be symmetric and positive definite")
         if not (self.errors >= 0).all():
             raise ValueError("`errors` must not be negative")
-        check_number("misfit", self.misfit, low=0)
-        check_number("bare_misfit", self.bare_misfit, low=0)
+        for name in ("misfit", "bare_misfit", "rough_misfit"):
+            check_number(name, getattr(self, name), low=0)
         check_flag("converged", self.converged)
+
+    @property
+    def doubt(self) -> str:
+        """Text if two masses on springs do not explain the record; empty if they do."""
+        words = (
+            "two masses on springs do not explain it: look at units, signs and places of sensors"
+        )
+        return words if self.rough_misfit >= EXPLAINED else ""
 
     @property
     def values(self) -> dict[str, float]:

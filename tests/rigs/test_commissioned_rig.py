@@ -38,7 +38,7 @@ def made_up(n):
                 root @ root.T + 1e-4 * np.eye(5),
                 0.01 * rng.standard_normal((BANDS, 5)),
                 0.1 * rng.random((4, 3)),
-                *(1.0, 2.0, True),
+                *(1.0, 2.0, 0.1, True),
             )
         )
     return Rig("bench", 20.0, 25.0), tuple(readings)

@@ -104,8 +104,15 @@ def test_a_sine_alone_does_not_show_the_suspension():
 
 def test_sensors_in_another_order_are_found(reading):
     of = spectra(record(TRUE, RATE_HZ, 40.0, 0))
-    assert better_order(RIG, of, reading.logs) == ()
+    assert better_order(RIG, of, reading) == ()
     for order in ((0, 2, 1), (1, 0, 2)):
         i = list(order)
         other = replace(of, taps=of.taps[:, :, i], noise=of.noise[i])
-        assert better_order(RIG, other, fit_rig(RIG, other).logs) == order
+        assert better_order(RIG, other, fit_rig(RIG, other)) == order
+
+
+@pytest.mark.parametrize("factors", [(1, 9.81, 1), (1, 1, -1)], ids=["unit", "sign"])
+def test_wrong_units_and_signs_leave_a_doubt(reading, factors):
+    assert reading.doubt == ""
+    wrong = fit_rig(RIG, spectra(record(TRUE, RATE_HZ, 40.0, 0) * np.array(factors)[:, None]))
+    assert "look at units, signs" in wrong.doubt

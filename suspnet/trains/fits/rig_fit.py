@@ -44,9 +44,9 @@ FACTORS = (0.5, 1.0, 2.0)
 """Factors on either frequency of the rig at which searches start: other valleys lie in between."""
 ROUGH = 0.3
 """Error of the physics that the first searches allow for, a fraction of each signal."""
-EXPLAINED, FAR_BETTER = 1.0, 0.5
-"""Misfit with such errors below which the order of sensors is right, and that of another order over
-the stated one from which they are exchanged: two masses in the wrong order leave far more."""
+FAR_BETTER = 0.5
+"""Misfit with such errors of sensors in another order, over that of the stated one, from which they
+are exchanged: two masses in the wrong order leave far more."""
 ROUGH_TOL, TOL = 1e-4, 1e-8
 """Relative decreases of the cost that end a search, and the last one."""
 ROUNDS = 4
@@ -180,14 +180,13 @@ def fit_rig(rig: Rig, spectra: RigSpectra) -> RigReading:
     covariance = np.linalg.inv(information / misfit**2 + prior)
     q = 1 - 0.5 / max(1.0, bare_misfit) ** 2
     influences = _influences(np.linalg.inv(information + prior), jacobian, residuals, q)
-    converged = bool(end.success)
-    return RigReading(x, covariance, influences, fit.errors, misfit, bare_misfit, converged)
+    misfits = misfit, bare_misfit, rough.rms(x)
+    return RigReading(x, covariance, influences, fit.errors, *misfits, bool(end.success))
 
 
-def better_order(rig: Rig, spectra: RigSpectra, logs: FloatArray) -> tuple[int, ...]:
-    """Return the order of a record's sensors that explains it far better than `logs` do, if any."""
-    stated = _rough(spectra).rms(logs)
-    if stated < EXPLAINED:
+def better_order(rig: Rig, spectra: RigSpectra, reading: RigReading) -> tuple[int, ...]:
+    """Return the order of a record's sensors that explains it far better than it is, if any."""
+    if not reading.doubt:
         return ()
     misfits = {}
     for order in permutations(range(3)):
@@ -195,7 +194,7 @@ def better_order(rig: Rig, spectra: RigSpectra, logs: FloatArray) -> tuple[int, 
         other = _rough(replace(spectra, taps=spectra.taps[:, :, i], noise=spectra.noise[i]))
         misfits[order] = other.rms(_search(other, rig, rig.logs).x)
     best = min(misfits, key=lambda order: misfits[order])
-    return best if misfits[best] < FAR_BETTER * stated else ()
+    return best if misfits[best] < FAR_BETTER * reading.rough_misfit else ()
 
 
 def _rough(spectra: RigSpectra) -> RigMisfit:

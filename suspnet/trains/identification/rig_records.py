@@ -146,7 +146,7 @@ def read_record(
         )
     spectra = RigSpectra.of(record.signals, record.rate_hz, segment_s, band_hz, record.usable)
     reading = fit_rig(rig, spectra)
-    if order := better_order(rig, spectra, reading.logs):
+    if order := better_order(rig, spectra, reading):
         names = ", ".join(RIG_CHANNELS[i] for i in order)
         raise TripError(f"sensors look exchanged: base, frame and body fit far better as {names}")
     if hidden := [f"{name} (between {BETWEEN[name]})" for name in reading.hides()]:

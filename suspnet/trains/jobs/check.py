@@ -228,15 +228,15 @@ def _of_rig(result: TripCheck, manifest: RecordManifest, settings: CheckSettings
         return _with_remarks(result, unknown, state=TOO_LITTLE)
     result = replace(result, band_hz=rig.band_hz)
     try:
-        values = read_record(rig, record, *reading_of(rig, [record])).values
+        reading = read_record(rig, record, *reading_of(rig, [record]))
     except NoEstimateError as reason:
         return _with_remarks(result, str(reason), state=TOO_LITTLE)
-    return _with_remarks(
-        result,
+    values = reading.values
+    alone = (
         f"frame alone at {values['primary_hz']:.3g} Hz, body alone at "
-        f"{values['secondary_hz']:.3g} Hz",
-        state=READY,
+        f"{values['secondary_hz']:.3g} Hz"
     )
+    return _with_remarks(result, alone, reading.doubt, state=READY)
 
 
 def _vehicle(

@@ -152,6 +152,7 @@ def commissioning_lines(rig: CommissionedRig) -> list[str]:
         *tabulate(rows, ["", "healthy", level], disable_numparse=True).splitlines(),
         f"two masses on springs leave {rig.misfit:.3g} times the noise unexplained, "
         f"{100 * rig.error:.2g} % of the signals (median over frequency), which counts as noise",
+        *(f"{n}: {r.doubt}" for n, r in zip(rig.records, rig.readings, strict=True) if r.doubt),
     ]
 
 
