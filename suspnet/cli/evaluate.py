@@ -89,7 +89,8 @@ def _evaluate(config: DictConfig, history: Callable[[], History]) -> int:
     if config.study is not None:
         return run_study(config, program.run_folder(), history)
     if is_rig_run(config.run):
-        return evaluate_rig(config, program.run_folder())
+        urgent = evaluate_rig(config, program.run_folder())
+        return worst(ALARMS.get(severity, FINE) for severity in urgent)
     runs, output = named_runs(config.run), program.run_folder()
     program.save_config(config, output)
     if config.trips is not None:

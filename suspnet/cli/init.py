@@ -10,9 +10,8 @@ from suspnet.cli.config_files import is_shipped, own_vehicles
 from suspnet.ground.storage import printable, write_atomically
 from suspnet.ground.wording import command, count
 from suspnet.trains.recordings.errors import TripError
-from suspnet.trains.recordings.manifest import rig_words
 from suspnet.trains.trips import folder_manifests as folders
-from suspnet.trains.trips.rig_manifests import as_record, as_said_for_trips
+from suspnet.trains.trips.rig_manifests import as_record, as_said_for_trips, rig_words
 from suspnet.trains.trips.trip_files import TripFiles, find_trip_files, read_table, table_of
 
 ASSUMED = {
@@ -122,21 +121,32 @@ def _is_rig(words: Sequence[str], config_dir: Path | None) -> bool:
     """Return whether the vehicle that KEY=VALUE names is a rig of the user's."""
     name = next((word.partition("=")[2] for word in words if word.startswith("vehicle=")), "")
     folder = config_dir or own_vehicles(name)
-    if not name or folder is None:
-        return False
+    if name in _rigs(folder):
+        return True
+    if any(word.startswith(("channels.base=", "channels.frame=")) for word in words):
+        raise ValueError(
+            f"`base` and `frame` are of rigs, and vehicle={name} is not known as one: say "
+            "vehicle=NAME and give --config-dir DIR, the folder with vehicle/NAME.yaml, in which "
+            "`kind: rig` stands"
+        )
+    return False
+
+
+def _rigs(folder: Path | None) -> set[str]:
+    if folder is None:
+        return set()
     from suspnet.cli.kinds import read_rigs  # with Hydra
 
-    return name in {rig.name for rig in read_rigs(folder).values()}
+    return {rig.name for rig in read_rigs(folder).values()}
 
 
 def _unknown_vehicles(folder: Path | None, trips: Sequence[folders.Trip]) -> list[str]:
     """Return a line on each vehicle of the trips that neither the folder nor suspnet has."""
     names: set[str] = set()
     if folder is not None:
-        from suspnet.cli.kinds import read_rigs, vehicles_with  # with Hydra
+        from suspnet.cli.kinds import vehicles_with  # with Hydra
 
-        names = {vehicle.name for vehicle in vehicles_with(folder).values()}
-        names |= {rig.name for rig in read_rigs(folder).values()}
+        names = {vehicle.name for vehicle in vehicles_with(folder).values()} | _rigs(folder)
     stated = dict.fromkeys(t.stated["vehicle"] for t in trips if "vehicle" in t.stated)
     return [
         printable(

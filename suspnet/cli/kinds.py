@@ -61,7 +61,7 @@ KINDS: dict[str, dict[str, str | type]] = {
     "scenario": {"": "suspnet.trains.simulation.fleet.Scenario"},
     "search": {"": "suspnet.learning.search.GridSearch"},
     "trips": {"": "suspnet.estimation.trip_settings.TripSettings"},
-    "vehicle": {"": "suspnet.vehicle.Vehicle", "rig": "suspnet.vehicle.rig.stated_rig"},
+    "vehicle": {"": "suspnet.vehicle.Vehicle", "rig": "suspnet.vehicle.rig.Rig"},
 }
 """Kinds and the class of each, by the key below which the object is configured; a class itself
 where ``suspnet.register_method`` has added it."""
@@ -111,9 +111,14 @@ def _built(values: Mapping[str, Any], name: str, vehicle: str | None = None) -> 
     place = name.rpartition(".")[2]
     kind = values.get("kind", "")
     if not isinstance(kind, str) or kind not in KINDS[place]:
-        rule = f"one of {', '.join(KINDS[place])}" if "" not in KINDS[place] else "left out"
+        named = [key for key in KINDS[place] if key]
+        rule = f"one of {', '.join(named)}" if named else "left out"
+        rule += ", or left out" if named and "" in KINDS[place] else ""
         raise ValueError(f"`{name}.kind` must be {rule}, got {kind!r}")
     class_ = class_of(place, kind)
+    if kind == "rig" and any(key.endswith(("_n_per_m", "_ns_per_m")) for key in values):
+        numbers = {key: value for key, value in values.items() if key != "kind"}
+        return class_.of(_built(numbers, name, vehicle))  # type: ignore[attr-defined]
     arguments = {
         key: _built(value, f"{name}.{key}", vehicle)
         if key in PARTS.get(place, ()) and isinstance(value, dict)
@@ -159,7 +164,7 @@ def read_vehicles(folder: str | Path = CONFIGS) -> dict[str, Vehicle]:
     FileNotFoundError, TypeError, ValueError
         If the folder has no ``vehicle/NAME.yaml``, or a number of one is missing or wrong.
     """
-    return {key: v for key, v in _every_vehicle(folder).items() if not _is_rig(v)}
+    return _of_kind(folder, of_rigs=False)
 
 
 def read_rigs(folder: str | Path) -> dict[str, Rig]:
@@ -167,24 +172,23 @@ def read_rigs(folder: str | Path) -> dict[str, Rig]:
 
     They are the files with ``kind: rig``.
     """
-    return {key: v for key, v in _every_vehicle(folder).items() if _is_rig(v)}
+    return _of_kind(folder, of_rigs=True)
 
 
-def _is_rig(vehicle: Vehicle | Rig) -> bool:
-    return type(vehicle).__name__ == "Rig"
-
-
-def _every_vehicle(folder: str | Path) -> dict[str, Any]:
-    vehicles: dict[str, Any] = {}
-    for file, numbers in _vehicle_files(folder):
-        try:
-            vehicles[file.stem] = _built(numbers, "vehicle")
-        except (TypeError, ValueError) as error:
-            raise type(error)(f"{file}: {error}") from error
-    if not vehicles:
+def _of_kind(folder: str | Path, of_rigs: bool) -> dict[str, Any]:
+    files = dict(_vehicle_files(folder))
+    if not files:
         raise FileNotFoundError(
             f"{folder} holds no vehicles: each is a file vehicle/NAME.yaml in it"
         )
+    vehicles: dict[str, Any] = {}
+    for file, numbers in files.items():
+        try:
+            vehicle = _built(numbers, "vehicle")
+        except (TypeError, ValueError) as error:
+            raise type(error)(f"{file}: {error}") from error
+        if (numbers.get("kind") == "rig") == of_rigs:
+            vehicles[file.stem] = vehicle
     return vehicles
 
 

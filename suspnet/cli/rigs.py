@@ -5,12 +5,11 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from suspnet.cli import program
-from suspnet.cli.folders import ACT, FINE, NOTICE, SOME_WITHOUT_ESTIMATE, worst
 from suspnet.cli.kinds import build, plain
 from suspnet.ground.extras import check_extra, optional
 from suspnet.ground.parameters import DEFAULT_LIMITS, Severity, read_limits
@@ -19,7 +18,7 @@ from suspnet.ground.wording import command
 from suspnet.vehicle.rig import Rig
 
 with optional("trips"):
-    from suspnet.estimation.rig_files import load_rig
+    from suspnet.estimation.rig_files import RIG_FILE, load_rig
     from suspnet.trains.jobs.rigs import (
         commission_folder,
         commissioning_lines,
@@ -27,12 +26,12 @@ with optional("trips"):
         read_folder,
         reading_lines,
     )
-if TYPE_CHECKING:
-    from suspnet.estimation.commissioned_rig import CommissionedRig
-    from suspnet.trains.jobs.rigs import RigResult
 
 log = logging.getLogger(__name__)
-CODES = {Severity.UNKNOWN: SOME_WITHOUT_ESTIMATE, Severity.NOTICE: NOTICE, Severity.ACT: ACT}
+OF_ANY = ("job", "seed", "threads", "progress", "figures", "language")
+OF_TRAINING = ("vehicle", "healthy", "n_healthy", "experiment", *OF_ANY)
+OF_READING = ("run", "trips", "monitor.limits", "monitor.trips.level", *OF_ANY)
+"""Keys that may be typed for a rig, those of training and those of later records."""
 
 
 def is_rig(config: DictConfig) -> bool:
@@ -40,7 +39,7 @@ def is_rig(config: DictConfig) -> bool:
 
     ValueError if it is none, but the healthy records are of one.
     """
-    if OmegaConf.select(config, "vehicle.kind") == "rig":
+    if OmegaConf.select(config, "vehicle.kind") is not None:
         return True
     if config.healthy is not None:
         check_extra("trips")
@@ -59,6 +58,7 @@ def train_rig(config: DictConfig, folder: Path) -> None:
     if config.healthy is None:
         raise ValueError(f"{rig.name} is a rig, which is learnt on records: give healthy=DIR")
     check_extra("trips")
+    _check_typed(OF_TRAINING)
     check_number("n_healthy", config.n_healthy, low=3, whole=True, optional=True)
     commissioned = commission_folder(rig, Path(config.healthy), folder, config.n_healthy)
     program.save_config(config, folder)
@@ -69,31 +69,32 @@ def train_rig(config: DictConfig, folder: Path) -> None:
 
 def is_rig_run(run: object) -> bool:
     """Return whether `run=` names the folder of a commissioned rig."""
-    return isinstance(run, str) and (Path(run) / "rig.json").is_file()
+    return isinstance(run, str) and (Path(run) / RIG_FILE).is_file()
 
 
-def evaluate_rig(config: DictConfig, output: Path) -> int:
-    """Read a folder of records with a commissioned rig; return the exit code."""
+def evaluate_rig(config: DictConfig, output: Path) -> list[Severity]:
+    """Read a folder of records with a commissioned rig; return how urgent each is."""
     if config.trips is None:
         raise ValueError(f"{config.run} holds a rig, which reads records: give trips=DIR")
-    if config.store is not None:
-        raise ValueError("store= is for trains: the history has mileages, which rigs have not")
-    rig = _with_limits(load_rig(config.run), plain(config.monitor.limits) or {})
+    _check_typed(OF_READING)
+    rig, level = load_rig(config.run), config.monitor.trips.level
+    check_number("monitor.trips.level", level, above=0, below=1)
+    # limits that the command line sets hold for this evaluation
+    wanted = plain(config.monitor.limits) or {}
+    limits = read_limits(wanted, rig.rig.known_limits, "set for this evaluation")
+    stated = {name: limits[name].to_dict() if name in limits else None for name in DEFAULT_LIMITS}
+    rig = replace(rig, rig=replace(rig.rig, limits=stated))
     program.save_config(config, output)
-    level = config.monitor.trips.level
     results = read_folder(rig, Path(config.trips), output, level)
     for line in reading_lines(rig, results, level):
         log.info("%s", line)
     log.info("-> %s", output / "records.csv")
-    return worst(_code(result) for result in results)
+    return [result.severity for result in results]
 
 
-def _with_limits(rig: CommissionedRig, wanted: dict[str, Any]) -> CommissionedRig:
-    """Return the rig with limits that the command line sets for this evaluation."""
-    limits = read_limits(wanted, rig.rig.known_limits, "set for this evaluation")
-    stated = {name: limits[name].to_dict() if name in limits else None for name in DEFAULT_LIMITS}
-    return replace(rig, rig=replace(rig.rig, limits=stated))
-
-
-def _code(result: RigResult) -> int:
-    return CODES.get(result.severity, FINE)
+def _check_typed(allowed: tuple[str, ...]) -> None:
+    """Raise ValueError if a setting is typed that changes nothing for a rig."""
+    for word in HydraConfig.get().overrides.task:
+        key = word.lstrip("+~").partition("=")[0]
+        if not any(f"{key}.".startswith(f"{name}.") for name in allowed):
+            raise ValueError(f"`{key}` is not for rigs: leave it out; allowed are {allowed}")

@@ -3,7 +3,8 @@
 import hashlib
 import json
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -219,16 +220,28 @@ def load_model(folder: Path | str, device: str = "cpu") -> TrainedModel | BogieM
         raise FileNotFoundError(f"{folder} holds no model.json; is it the folder of a run?")
     check_device(device)
     try:
-        content = read_json(path)
-        _check_description(path, content)
-        arrays = read_arrays(folder / "model.safetensors", content["arrays_sha256"])
-        return _checked(content, {} if content["model"] == BOGIE else arrays, device)
+        with foreign_file(path):
+            content = read_json(path)
+            check_description(path, content, SCHEMA_VERSION)
+            _check_known(path, content)
+            arrays = read_arrays(folder / "model.safetensors", content["arrays_sha256"])
+            return _checked(content, {} if content["model"] == BOGIE else arrays, device)
+    except FileNotFoundError as error:
+        raise ModelFileError(f"{folder} holds model.json but no model.safetensors") from error
+
+
+@contextmanager
+def foreign_file(path: Path) -> Iterator[None]:
+    """Raise ModelFileError for whatever a damaged or foreign file of a model makes of its reader.
+
+    A file that is not there is left to the caller.
+    """
+    try:
+        yield
     except ModelFileError:
         raise
     except DamagedFileError as error:
         raise ModelFileError(f"{error}; train again or copy the run again") from error
-    except FileNotFoundError as error:
-        raise ModelFileError(f"{folder} holds model.json but no model.safetensors") from error
     except RecursionError as error:
         raise ModelFileError(f"{path} is not a suspnet model: it is nested too deeply") from error
     except NOT_A_MODEL as error:
@@ -261,17 +274,21 @@ def parameters(estimator: Any) -> dict[str, Any]:
     return {k: v for k, v in estimator.get_params().items() if k != "callback"}
 
 
-def _check_description(path: Path, content: Any) -> None:
+def check_description(path: Path, content: Any, schema_version: int) -> None:
+    """Raise ModelFileError unless a description has that version and the hash, which is removed."""
     if not isinstance(content, dict) or "schema_version" not in content:
         raise ModelFileError(f"{path} is not a suspnet model: it has no schema_version")
-    if content["schema_version"] != SCHEMA_VERSION:
+    if content["schema_version"] != schema_version:
         raise ModelFileError(
             f"{path} has schema version {content['schema_version']}, this suspnet reads "
-            f"{SCHEMA_VERSION}; train again"
+            f"{schema_version}; train again"
         )
     claimed = content.pop("description_sha256", None)
     if claimed != content_hash(content):
         raise ModelFileError(f"{path} is damaged or was altered: its hash does not match")
+
+
+def _check_known(path: Path, content: dict[str, Any]) -> None:
     if content["model"] not in (*METHODS, BOGIE):
         raise ModelFileError(
             f"{path}: unknown model {content['model']!r}; {OWN.format('register_method')}"

@@ -21,17 +21,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy.stats import t
 
 from suspnet.estimation.trip_settings import LEAST_TRIPS
-from suspnet.ground.parameters import PARAMETERS, Severity
+from suspnet.ground.parameters import PARAMETERS, Limits, Severity
 from suspnet.ground.records import INTERVAL_LEVEL
-from suspnet.ground.settings import check_number
+from suspnet.ground.settings import check_flag, check_number
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import ShortRepr
 from suspnet.vehicle.rig import Rig
@@ -40,59 +39,113 @@ BANDS = 5
 """Number of bands whose errors may be the same throughout: about one for each mode, dip and flank
 of the responses. On the shelf of docs/rigs.md four and five hold what other methods find, eight
 give intervals half as wide that do not."""
-RATIOS: Mapping[str, tuple[float, ...]] = {
-    **{name: tuple(row) for name, row in zip(PARAMETERS, np.eye(5).tolist(), strict=True)},
-    "k_s_over_M_s": (0, 0, 1, 0, -1),
-    "c_s_over_M_s": (0, 0, 0, 1, -1),
+RATIOS: Mapping[str, FloatArray] = {
+    **dict(zip(PARAMETERS, np.eye(5), strict=True)),
+    "k_s_over_M_s": np.array([0.0, 0, 1, 0, -1]),
+    "c_s_over_M_s": np.array([0.0, 0, 0, 1, -1]),
 }
 """Directions of the logarithms of (k_p, c_p, k_s, c_s, M_s) over M_p: what is read as a ratio to
 healthy."""
-ABSOLUTE: Mapping[str, tuple[tuple[float, ...], float]] = {
-    "primary_hz": ((0.5, 0, 0, 0, 0), 1 / (2 * math.pi)),
-    "secondary_hz": ((0, 0, 0.5, 0, -0.5), 1 / (2 * math.pi)),
-    "primary_damping": ((-0.5, 1, 0, 0, 0), 0.5),
-    "secondary_damping": ((0, 0, -0.5, 1, -0.5), 0.5),
-    "mass_ratio": ((0, 0, 0, 0, 1), 1.0),
+ABSOLUTE: Mapping[str, tuple[FloatArray, float]] = {
+    "primary_hz": (np.array([0.5, 0, 0, 0, 0]), 1 / (2 * math.pi)),
+    "secondary_hz": (np.array([0, 0, 0.5, 0, -0.5]), 1 / (2 * math.pi)),
+    "primary_damping": (np.array([-0.5, 1, 0, 0, 0]), 0.5),
+    "secondary_damping": (np.array([0, 0, -0.5, 1, -0.5]), 0.5),
+    "mass_ratio": (np.array([0.0, 0, 0, 0, 1]), 1.0),
 }
 """Direction and factor of what is read as it is: the numbers of ``Rig``."""
+SHAPES = {"logs": (5,), "covariance": (5, 5), "influences": (BANDS, 5), "errors": (-1, 3)}
+"""Shapes of the arrays of a reading; -1 is any number of frequencies."""
+EXPLAINED = 1.0
+"""Rough misfit from which two masses on springs do not explain a record."""
 LARGEST_LOG = 300.0
 """Largest logarithm of an end of an interval: a damper that no record shows may be anything."""
 MOST_UNCERTAIN = 0.5
 """Standard deviation of the logarithm of a stiffness from which a record does not show it."""
 
 
-@dataclass(frozen=True, repr=False)
-class RigReading(ShortRepr):
-    """The numbers of a rig from one record alone.
+@dataclass(frozen=True, eq=False, repr=False)
+class Logs(ShortRepr):
+    """Logarithms with what makes them uncertain.
 
-    `logs` (5,) are the logarithms of k_p, c_p, k_s, c_s and M_s over M_p in SI units,
+    `logs` (5,) are those of k_p, c_p, k_s, c_s and M_s over M_p in SI units, or their differences,
     `covariance` (5, 5) that of noise and local errors, `influences` (``BANDS``, 5) those of each
-    band. `errors` (n_freq, 3) [-] are the fractions of each signal that the physics errs by;
-    `misfit` is the rms residual over noise and errors, `bare_misfit` that over noise alone.
+    band.
     """
 
     logs: FloatArray
     covariance: FloatArray
     influences: FloatArray
+
+    def along(self, direction: FloatArray) -> tuple[float, float]:
+        """Return d and v of the module's docstring along a direction."""
+        influence = self.influences @ direction
+        variance = max(direction @ self.covariance @ direction, influence @ influence)
+        return float(self.logs @ direction), float(variance)
+
+    def minus(self, other: Logs) -> Logs:
+        """Return the difference to independent ones, whose influences have the same causes."""
+        return Logs(
+            self.logs - other.logs,
+            self.covariance + other.covariance,
+            self.influences - other.influences,
+        )
+
+    @staticmethod
+    def mean(several: Sequence[Logs]) -> Logs:
+        """Return the mean of independent ones, whose influences have the same causes."""
+        parts = ([getattr(each, name) for each in several] for name in list(SHAPES)[:3])
+        logs, covariance, influences = (np.mean(part, axis=0) for part in parts)
+        return Logs(logs, covariance / len(several), influences)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RigReading(Logs):
+    """The numbers of a rig from one record alone.
+
+    `errors` (n_freq, 3) [-] are the fractions of each signal that the physics errs by; `misfit` is
+    the rms residual over noise and errors, `bare_misfit` that over noise alone, `rough_misfit` that
+    over noise and large errors. ValueError or TypeError if a number is impossible.
+    """
+
     errors: FloatArray
     misfit: float
     bare_misfit: float
+    rough_misfit: float
     converged: bool
+
+    def __post_init__(self) -> None:
+        for name, shape in SHAPES.items():
+            array = np.asarray(getattr(self, name), dtype=float)
+            if array.shape != (len(array), *shape[1:]) or shape[0] not in (-1, len(array)):
+                raise ValueError(f"`{name}` must be of shape {shape}, got {array.shape}")
+            object.__setattr__(self, name, array)
+        symmetric = np.allclose(self.covariance, self.covariance.T)
+        if not symmetric or np.linalg.eigvalsh(self.covariance)[0] <= 0:
+            raise ValueError("`covariance` must be symmetric and positive definite")
+        if not (self.errors >= 0).all():
+            raise ValueError("`errors` must not be negative")
+        for name in ("misfit", "bare_misfit", "rough_misfit"):
+            check_number(name, getattr(self, name), low=0)
+        check_flag("converged", self.converged)
+
+    @property
+    def doubt(self) -> str:
+        """Text if two masses on springs do not explain the record; empty if they do."""
+        words = (
+            "two masses on springs do not explain it: look at units, signs and places of sensors"
+        )
+        return words if self.rough_misfit >= EXPLAINED else ""
 
     @property
     def values(self) -> dict[str, float]:
         """The numbers of ``ABSOLUTE``."""
-        return {
-            name: factor * math.exp(float(np.dot(direction, self.logs)))
-            for name, (direction, factor) in ABSOLUTE.items()
-        }
+        return {n: f * math.exp(float(a @ self.logs)) for n, (a, f) in ABSOLUTE.items()}
 
     def hides(self) -> tuple[str, ...]:
         """Return which of k_p and k_s the record does not show."""
-        deviations = np.sqrt(np.diag(self.covariance))
-        return tuple(
-            name for name in ("k_p", "k_s") if deviations[PARAMETERS.index(name)] > MOST_UNCERTAIN
-        )
+        deviations = dict(zip(PARAMETERS, np.sqrt(np.diag(self.covariance)), strict=True))
+        return tuple(name for name in ("k_p", "k_s") if deviations[name] > MOST_UNCERTAIN)
 
 
 @dataclass(frozen=True)
@@ -103,19 +156,26 @@ class Value:
     low: float
     high: float
 
-    @classmethod
-    def of(cls, log: float, half_width: float, factor: float = 1.0) -> Value:
-        """Return the number of a logarithm and half the width of its interval."""
-        ends = (math.exp(min(log + side * half_width, LARGEST_LOG)) for side in (0, -1, 1))
-        return cls(*(factor * end for end in ends))
+    def severity(self, limits: Limits) -> Severity:
+        """Return how urgent a ratio is: beyond a limit only if its interval is wholly beyond it."""
+        for severity, (low, high) in (
+            (Severity.ACT, limits.act),
+            (Severity.NOTICE, limits.notice),
+        ):
+            if self.high < low or self.low > high:
+                return severity
+        low, high = limits.act
+        is_certain = self.low >= low * self.value and self.high <= high * self.value
+        return Severity.NONE if is_certain else Severity.UNKNOWN
 
 
 @dataclass(frozen=True, repr=False)
-class RigEstimate(ShortRepr):
+class RigEstimate:
     """A record relative to the healthy ones.
 
     `ratios` are those of ``RATIOS`` to healthy, `values` those of ``ABSOLUTE`` as they are, by
-    name, with intervals of `level`. `severities` are those of each number that has limits.
+    name, with intervals of `level`. `severities` are those of each number that has limits, `misfit`
+    is the rms residual over the noise.
     """
 
     ratios: Mapping[str, Value]
@@ -123,17 +183,6 @@ class RigEstimate(ShortRepr):
     severities: Mapping[str, Severity]
     level: float
     misfit: float
-    bare_misfit: float
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the estimate as JSON-able values."""
-        return {
-            "ratios": {name: asdict(value) for name, value in self.ratios.items()},
-            "values": {name: asdict(value) for name, value in self.values.items()},
-            "severities": {name: str(severity) for name, severity in self.severities.items()},
-            "level": self.level,
-            "misfit": self.bare_misfit,
-        }
 
     def __repr__(self) -> str:
         return ", ".join(
@@ -165,20 +214,12 @@ class CommissionedRig(ShortRepr):
     def __post_init__(self) -> None:
         for name in ("segment_s", "low_hz", "high_hz"):
             check_number(name, getattr(self, name), above=0)
-        if len(self.readings) < LEAST_TRIPS or len(self.records) != len(self.readings):
-            raise ValueError(
-                f"{len(self.readings)} healthy records are given, at least {LEAST_TRIPS} are needed"
-            )
+        check_enough(len(self.records))
         for name, reading in zip(self.records, self.readings, strict=True):
             if hidden := reading.hides():
                 raise ValueError(
                     f"the healthy record {name} does not show {' and '.join(hidden)}: leave it out"
                 )
-
-    @cached_property
-    def logs(self) -> FloatArray:
-        """Mean of the healthy records' logarithms, (5,)."""
-        return np.asarray(np.mean([reading.logs for reading in self.readings], axis=0))
 
     @property
     def misfit(self) -> float:
@@ -186,96 +227,65 @@ class CommissionedRig(ShortRepr):
         squares = np.square([reading.bare_misfit for reading in self.readings])
         return float(np.sqrt(squares.mean()))
 
-    def without(self, i: int) -> tuple[RigReading, ...]:
-        """Return the healthy readings other than one."""
-        return self.readings[:i] + self.readings[i + 1 :]
-
-    def scatter(self, direction: Sequence[float]) -> float:
-        """Return s of the module's docstring, the scatter of a healthy record about the mean."""
-        a, n = np.asarray(direction), len(self.readings)
-        squares = []
-        for i, reading in enumerate(self.readings):
-            change, variance = _change(a, reading, self.without(i))
-            squares.append(change**2 - variance)
-        return math.sqrt(max(0.0, float(np.mean(squares))) * (1 + 1 / n) / (1 + 1 / (n - 1)))
-
     @cached_property
     def error(self) -> float:
         """Fraction of the signals that the physics errs by, median over frequency, [-]."""
-        return float(np.median([np.sqrt(np.mean(r.errors**2, axis=1)) for r in self.readings]))
+        errors = np.concatenate([reading.errors for reading in self.readings])
+        return float(np.median(np.sqrt(np.mean(errors**2, axis=1))))
 
-    def half_width(self, direction: Sequence[float], variance: float, level: float) -> float:
-        """Return half the width of the interval of a logarithm with that v."""
-        scattered = math.hypot(math.sqrt(variance), self.scatter(direction))
-        return self._student((1 + level) / 2) * scattered
-
-    def _student(self, probability: float) -> float:
-        degrees = min(len(self.readings), BANDS) - 1
-        return float(t.ppf(probability, degrees))
+    def scatter(self, direction: FloatArray) -> float:
+        """Return s of the module's docstring, the scatter of a healthy record about the mean."""
+        n = len(self.readings)
+        changes = [self._change(i).along(direction) for i in range(n)]
+        excess = np.mean([change**2 - variance for change, variance in changes])
+        return math.sqrt(max(0.0, float(excess)) * (1 + 1 / n) / (1 + 1 / (n - 1)))
 
     def healthy(self, level: float = INTERVAL_LEVEL) -> dict[str, Value]:
         """Return the numbers of ``ABSOLUTE`` of the healthy rig, with intervals of their mean."""
-        n, values = len(self.readings), {}
-        for name, (direction, factor) in ABSOLUTE.items():
-            a = np.asarray(direction)
-            variance = max(
-                a @ np.mean([r.covariance for r in self.readings], axis=0) @ a / n,
-                float(np.sum((_mean_influence(self.readings) @ a) ** 2)),
-            )
-            scatter = self.scatter(direction) ** 2 / (n + 1)
-            half = self._student((1 + level) / 2) * math.sqrt(variance + scatter)
-            values[name] = Value.of(float(a @ self.logs), half, factor)
-        return values
+        return self._values(Logs.mean(self.readings), level, 1 / math.sqrt(len(self.readings) + 1))
 
     def estimate(self, reading: RigReading, level: float = INTERVAL_LEVEL) -> RigEstimate:
         """Return a later record relative to the healthy ones, with intervals of that level."""
-        return self._estimate(reading, self.readings, level)
+        return self._estimate(reading, reading.minus(Logs.mean(self.readings)), level)
 
     def estimate_healthy(self, i: int, level: float = INTERVAL_LEVEL) -> RigEstimate:
         """Return a healthy record relative to the other healthy ones."""
-        return self._estimate(self.readings[i], self.without(i), level)
+        return self._estimate(self.readings[i], self._change(i), level)
 
-    def _estimate(
-        self, reading: RigReading, healthy: Sequence[RigReading], level: float
-    ) -> RigEstimate:
+    def _change(self, i: int) -> Logs:
+        """Return a healthy record's difference to the mean of the others."""
+        return self.readings[i].minus(Logs.mean(self.readings[:i] + self.readings[i + 1 :]))
+
+    def _estimate(self, reading: RigReading, change: Logs, level: float) -> RigEstimate:
         check_number("level", level, above=0, below=1)
-        ratios = {}
-        for name, direction in RATIOS.items():
-            change, variance = _change(np.asarray(direction), reading, healthy)
-            ratios[name] = Value.of(change, self.half_width(direction, variance, level))
-        values = {}
-        for name, (direction, factor) in ABSOLUTE.items():
-            a = np.asarray(direction)
-            own = max(a @ reading.covariance @ a, float(np.sum((reading.influences @ a) ** 2)))
-            half = self.half_width(direction, own, level)
-            values[name] = Value.of(float(a @ reading.logs), half, factor)
-        severities = {
-            name: _severity(ratios[name], limits.notice, limits.act)
-            for name, limits in self.rig.known_limits.items()
-        }
-        misfits = reading.misfit, reading.bare_misfit
-        return RigEstimate(ratios, values, severities, level, *misfits)
+        ratios = {name: self._value(change, a, level) for name, a in RATIOS.items()}
+        limits = self.rig.known_limits
+        severities = {name: ratios[name].severity(limits[name]) for name in limits}
+        values = self._values(reading, level)
+        return RigEstimate(ratios, values, severities, level, reading.bare_misfit)
+
+    def _values(self, logs: Logs, level: float, share: float = 1.0) -> dict[str, Value]:
+        return {n: self._value(logs, a, level, f, share) for n, (a, f) in ABSOLUTE.items()}
+
+    def _value(
+        self,
+        logs: Logs,
+        direction: FloatArray,
+        level: float,
+        factor: float = 1.0,
+        share: float = 1.0,
+    ) -> Value:
+        """Return the number of a direction; `share` is that of the scatter which it has."""
+        log, variance = logs.along(direction)
+        quantile = t.ppf((1 + level) / 2, min(len(self.readings), BANDS) - 1)
+        half = quantile * math.hypot(math.sqrt(variance), share * self.scatter(direction))
+        ends = (math.exp(min(end, LARGEST_LOG)) for end in (log, log - half, log + half))
+        return Value(*(factor * end for end in ends))
 
 
-def _mean_influence(readings: Sequence[RigReading]) -> FloatArray:
-    return np.asarray(np.mean([reading.influences for reading in readings], axis=0))
-
-
-def _change(
-    direction: FloatArray, reading: RigReading, healthy: Sequence[RigReading]
-) -> tuple[float, float]:
-    """Return d and v of the module's docstring along a direction."""
-    change = reading.logs - np.mean([other.logs for other in healthy], axis=0)
-    covariance = reading.covariance + sum(other.covariance for other in healthy) / len(healthy) ** 2
-    influence = (reading.influences - _mean_influence(healthy)) @ direction
-    variance = max(float(direction @ covariance @ direction), float(influence @ influence))
-    return float(direction @ change), variance
-
-
-def _severity(ratio: Value, notice: tuple[float, float], act: tuple[float, float]) -> Severity:
-    """Return how urgent a ratio is: beyond a limit only if its interval is wholly beyond it."""
-    for severity, (low, high) in ((Severity.ACT, act), (Severity.NOTICE, notice)):
-        if ratio.high < low or ratio.low > high:
-            return severity
-    is_certain = ratio.low >= act[0] * ratio.value and ratio.high <= act[1] * ratio.value
-    return Severity.NONE if is_certain else Severity.UNKNOWN
+def check_enough(n_records: int) -> None:
+    """Raise ValueError if there are too few healthy records."""
+    if n_records < LEAST_TRIPS:
+        raise ValueError(
+            f"{n_records} healthy records are given, at least {LEAST_TRIPS} are needed"
+        )

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 import numpy as np
@@ -133,23 +133,6 @@ class Rig:
         return {name: limits[name] for name in PARAMETERS if name in limits}
 
 
-def stated_rig(**numbers: Any) -> Rig:
-    """Return the rig of a vehicle's file: by its frequencies, or by the numbers of a vehicle.
-
-    ValueError if a number is unknown or missing.
-    """
-    class_: type[Rig] | type[Vehicle] = Rig
-    if any(name.endswith(("_n_per_m", "_ns_per_m")) for name in numbers):
-        class_ = Vehicle
-    known = {field.name: field for field in fields(class_)}
-    if unknown := sorted(set(numbers) - set(known)):
-        raise ValueError(f"`vehicle.{unknown[0]}` is no number of a rig: {', '.join(known)}")
-    is_needed = (n for n, f in known.items() if f.default is MISSING and n not in numbers)
-    if missing := list(is_needed):
-        raise ValueError(f"`vehicle.{missing[0]}` is missing")
-    return Rig.of(Vehicle(**numbers)) if class_ is Vehicle else Rig(**numbers)
-
-
 def modes_hz(logs: FloatArray) -> tuple[float, float]:
     """Return the natural frequencies on a base at rest, ascending, [Hz]; `logs` as of ``Rig``."""
     k_p, _, k_s, _, m_s = np.exp(logs)
@@ -165,16 +148,8 @@ def patterns(frequencies_hz: FloatArray) -> ComplexArray:
     s = 2j * np.pi * np.asarray(frequencies_hz, dtype=float)[:, None, None]
     frame, body = np.array([[0, 1, 0], [0, 0, 0]]), np.array([[0, 0, 0], [0, 0, 1]])
     primary, secondary = np.array([[-1, 1, 0], [0, 0, 0]]), np.array([[0, 1, -1], [0, -1, 1]])
-    return np.stack(
-        [
-            s**2 * frame,
-            primary + 0 * s,
-            s * primary,
-            secondary + 0 * s,
-            s * secondary,
-            s**2 * body,
-        ]
-    )
+    p, q = primary + 0 * s, secondary + 0 * s
+    return np.stack([s**2 * frame, p, s * p, q, s * q, s**2 * body])
 
 
 def equations(logs: FloatArray, of: ComplexArray) -> ComplexArray:

@@ -2,7 +2,6 @@
 
 import json
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -39,7 +38,7 @@ def made_up(n):
                 root @ root.T + 1e-4 * np.eye(5),
                 0.01 * rng.standard_normal((BANDS, 5)),
                 0.1 * rng.random((4, 3)),
-                *(1.0, 2.0, True),
+                *(1.0, 2.0, 0.1, True),
             )
         )
     return Rig("bench", 20.0, 25.0), tuple(readings)
@@ -155,7 +154,7 @@ def test_intervals_hold_on_rigs_that_nobody_tuned_to(rate_hz, stated, seconds, h
 def test_record_that_shows_nothing_has_no_estimate(bench):
     *_, commissioned = bench
     noise = np.random.default_rng(0).standard_normal((3, 4800))
-    with pytest.raises(NoEstimateError, match=r"does not show k_[ps].*between|coherence 0\.\d\d"):
+    with pytest.raises(NoEstimateError, match=r"does not show k_[ps] \(between"):
         read_rig(commissioned, RigRecord(noise, 200.0))
 
 
@@ -193,7 +192,7 @@ def test_rig_is_stored_and_loaded(bench, tmp_path):
     save_rig(tmp_path, commissioned)
     loaded = load_rig(tmp_path)
     later = RigRecord(record(true * WORN, 200.0, 24.0, 100), 200.0)
-    assert read_rig(loaded, later).to_dict() == read_rig(commissioned, later).to_dict()
+    assert read_rig(loaded, later) == read_rig(commissioned, later)
     assert loaded.rig == commissioned.rig
     with pytest.raises(FileNotFoundError, match=r"no model\.json"):
         load_model(tmp_path)
@@ -213,8 +212,11 @@ def test_missing_rig_is_reported(tmp_path):
         (lambda content: content["rig"].update(kind="os.system"), "kind"),
         (lambda content: content["readings"].pop(), "zip"),
         (lambda content: content["readings"][0].update(misfit=-1.0), "misfit"),
-        (lambda content: content.update(records=["a"]), r"shape \(1, 5\)"),
-        (lambda content: content.update(arrays_sha256="0" * 64), "damaged|hash|altered"),
+        (lambda content: content.update(records=["a"]), "1 healthy records"),
+        (lambda content: content.update(records=[1, 2, 3]), "names"),
+        (lambda content: content["readings"][0].update(logs=[1.0]), r"shape \(5,\)"),
+        (lambda content: content["readings"][0].update(errors=[[-1.0] * 3]), "errors"),
+        (lambda content: content["readings"][0]["covariance"][0].__setitem__(1, 1.0), "definite"),
     ],
 )
 def test_forged_rigs_are_refused(bench, tmp_path, change, words):
@@ -233,25 +235,8 @@ def test_forged_rigs_are_refused(bench, tmp_path, change, words):
 def test_altered_files_are_refused(bench, tmp_path):
     *_, commissioned = bench
     save_rig(tmp_path, commissioned)
-    arrays = tmp_path / "rig.safetensors"
-    arrays.write_bytes(arrays.read_bytes()[:-8] + b"12345678")
-    with pytest.raises(ModelFileError):
-        load_rig(tmp_path)
     (tmp_path / "rig.json").write_text(
         (tmp_path / "rig.json").read_text().replace("bench", "bunch")
     )
     with pytest.raises(ModelFileError, match="damaged or was altered"):
-        load_rig(tmp_path)
-
-
-def test_impossible_readings_are_refused(bench, tmp_path):
-    *_, commissioned = bench
-    first, *others = commissioned.readings
-    covariance = first.covariance.copy()
-    covariance[0, 1] = covariance[1, 0] = 1.0
-    save_rig(
-        tmp_path,
-        replace(commissioned, readings=(replace(first, covariance=covariance), *others)),
-    )
-    with pytest.raises(ModelFileError, match="positive definite"):
         load_rig(tmp_path)

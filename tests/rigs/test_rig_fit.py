@@ -9,7 +9,7 @@ from scipy.optimize._numdiff import approx_derivative
 
 from suspnet import Rig
 from suspnet.estimation.commissioned_rig import BANDS
-from suspnet.trains.fits.rig_fit import RigMisfit, fit_rig, rough_misfits
+from suspnet.trains.fits.rig_fit import RigMisfit, better_order, fit_rig
 from suspnet.trains.spectra.rig_spectra import RigSpectra
 
 TRUE = numbers(20.0, 25.0, 0.8, 0.01, 0.02)
@@ -102,10 +102,17 @@ def test_a_sine_alone_does_not_show_the_suspension():
     assert fit_rig(RIG, spectra(signals)).hides()
 
 
-def test_sensors_in_another_order_fit_far_worse():
+def test_sensors_in_another_order_are_found(reading):
     of = spectra(record(TRUE, RATE_HZ, 40.0, 0))
-    right, exchanged = rough_misfits(RIG, of, [(0, 1, 2), (0, 2, 1)])
-    assert right < 0.3 * exchanged
-    other = replace(of, taps=of.taps[:, :, [0, 2, 1]], noise=of.noise[[0, 2, 1]])
-    back = rough_misfits(RIG, other, [(0, 2, 1)])
-    assert back == pytest.approx([right], rel=1e-6)
+    assert better_order(RIG, of, reading) == ()
+    for order in ((0, 2, 1), (1, 0, 2)):
+        i = list(order)
+        other = replace(of, taps=of.taps[:, :, i], noise=of.noise[i])
+        assert better_order(RIG, other, fit_rig(RIG, other)) == order
+
+
+@pytest.mark.parametrize("factors", [(1, 9.81, 1), (1, 1, -1)], ids=["unit", "sign"])
+def test_wrong_units_and_signs_leave_a_doubt(reading, factors):
+    assert reading.doubt == ""
+    wrong = fit_rig(RIG, spectra(record(TRUE, RATE_HZ, 40.0, 0) * np.array(factors)[:, None]))
+    assert "look at units, signs" in wrong.doubt

@@ -79,7 +79,12 @@ def test_mistakes_are_one_line(folder):
     write(folder / "healthy", TRUE, [0])
     assert typed("init", "healthy", "vehicle=bench", *CHANNELS).returncode == 0
     trained = typed("train", "--config-dir", "rigs", "healthy=healthy")
-    assert one_line(trained) == "error: 1 healthy records are given, at least 3 are needed"
+    few = "error: healthy: 1 healthy records are given, at least 3 are needed"
+    assert one_line(trained) == few
+    typed_words = ("train", "--config-dir", "rigs", "healthy=healthy")
+    for word in ("direction=forward", "speed_m_per_s=3", "model=msvr"):
+        key = word.partition("=")[0]
+        assert f"`{key}` is not for rigs: leave it out" in one_line(typed(*typed_words, word))
     assert "give --config-dir DIR" in one_line(typed("train", "healthy=healthy"))
     assert "give healthy=DIR" in one_line(typed("train", "--config-dir", "rigs", "vehicle=bench"))
     assert "`speed` is not known for a rig" in one_line(
@@ -87,13 +92,20 @@ def test_mistakes_are_one_line(folder):
     )
     manifest = folder / "healthy" / "r0.yaml"
     text = manifest.read_text()
+    manifest.write_text(text.replace("a1 [m/s2]", "a0 [m/s2]"))
+    trained = typed("train", "--config-dir", "rigs", "healthy=healthy")
+    assert "the same file and column, base and frame" in one_line(trained)
     manifest.write_text(text.replace("vehicle: bench", "vehicle: other"))
     trained = typed("train", "--config-dir", "rigs", "healthy=healthy", "vehicle=bench")
     assert "the record is of 'other', the rig is 'bench'" in one_line(trained)
     manifest.write_text(text + "mileage_km: 3\n")
     trained = typed("train", "--config-dir", "rigs", "healthy=healthy")
     assert "mileage_km" in one_line(trained)
-    (folder / "rigs" / "vehicle" / "bench.yaml").write_text("kind: rig\nname: bench\n")
+    vehicle = folder / "rigs" / "vehicle" / "bench.yaml"
+    vehicle.write_text(FILE.replace("kind: rig", "kind: rigg"))
+    trained = typed("train", "--config-dir", "rigs", "healthy=healthy", "vehicle=bench")
+    assert "`vehicle.kind` must be one of rig, or left out, got 'rigg'" in one_line(trained)
+    vehicle.write_text("kind: rig\nname: bench\n")
     trained = typed("train", "--config-dir", "rigs", "healthy=healthy", "vehicle=bench")
     assert "`vehicle.primary_hz` is missing" in one_line(trained)
 
@@ -108,14 +120,47 @@ def one_line(ended):
 
 
 def test_exchanged_sensors_are_named(folder):
-    write(folder / "healthy", TRUE, [0])
+    write(folder / "healthy", TRUE, range(3))
     swapped = (CHANNELS[0], "channels.frame=a2 [m/s2]", "channels.body=a1 [m/s2]")
     assert typed("init", "healthy", "vehicle=bench", *swapped).returncode == 0
     checked = typed("check", "healthy", "--config-dir", "rigs", "--no-pictures")
     assert checked.returncode == 1
-    assert "sensors look exchanged: base, frame and body fit far better as base, body, frame" in (
-        " ".join(checked.stdout.split())
-    )
+    words = "sensors look exchanged: base, frame and body fit far better as base, body, frame"
+    assert f"r0, r1, r2: {words}" in " ".join(checked.stdout.split())
+    trained = typed("train", "--config-dir", "rigs", "healthy=healthy", "hydra.run.dir=run")
+    assert one_line(trained) == f"error: healthy: r0: {words}"
+    assert not Path("run/rig.json").exists()
+
+
+def test_records_that_show_nothing_are_one_line(folder):
+    (folder / "healthy").mkdir()
+    for seed in range(3):
+        noise = np.random.default_rng(seed).standard_normal((4800, 4))
+        noise[:, 0] = np.arange(4800) / 200.0
+        header = "time [s],a0 [m/s2],a1 [m/s2],a2 [m/s2]"
+        path = folder / "healthy" / f"r{seed}.csv"
+        np.savetxt(path, noise, "%.9g", ",", header=header, comments="")
+    assert typed("init", "healthy", "vehicle=bench", *CHANNELS).returncode == 0
+    trained = typed("train", "--config-dir", "rigs", "healthy=healthy")
+    assert "healthy: r0: the record does not show k_p" in one_line(trained)
+
+
+def test_trips_of_a_rig_are_named_by_a_check(folder):
+    write(folder / "healthy", TRUE, [0])
+    words = ("suspension=a", "side=left", "mileage_km=3", "speed=30")
+    channels = [f"channels.{k}=a{i} [m/s2]" for i, k in enumerate(("axle_box", "bogie", "body"))]
+    assert typed("init", "healthy", "vehicle=am96", *words, *channels).returncode == 0
+    manifest = folder / "healthy" / "r0.yaml"
+    manifest.write_text(manifest.read_text().replace('vehicle: "am96"', "vehicle: bench"))
+    checked = typed("check", "healthy", "--config-dir", "rigs", "--no-pictures")
+    assert checked.returncode == 1
+    assert "the manifest is of a train's trip, its vehicle a rig" in checked.stdout
+
+
+def test_channels_of_a_rig_that_is_not_found_ask_for_its_folder(folder):
+    write(folder / "healthy", TRUE, [0])
+    asked = typed("init", "healthy", "vehicle=other", *CHANNELS)
+    assert "give --config-dir DIR, the folder with vehicle/NAME.yaml" in one_line(asked)
 
 
 def test_record_without_an_estimate_harms_no_other(folder):

@@ -24,10 +24,9 @@ the numbers move without the band (q = 1, the jackknife): its errors may be larg
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
+from itertools import permutations, product
 
 import numpy as np
 import torch
@@ -45,6 +44,9 @@ FACTORS = (0.5, 1.0, 2.0)
 """Factors on either frequency of the rig at which searches start: other valleys lie in between."""
 ROUGH = 0.3
 """Error of the physics that the first searches allow for, a fraction of each signal."""
+FAR_BETTER = 0.5
+"""Misfit with such errors of sensors in another order, over that of the stated one, from which they
+are exchanged: two masses in the wrong order leave far more."""
 ROUGH_TOL, TOL = 1e-4, 1e-8
 """Relative decreases of the cost that end a search, and the last one."""
 ROUNDS = 4
@@ -156,9 +158,11 @@ def fit_rig(rig: Rig, spectra: RigSpectra) -> RigReading:
     A rig that shows nothing of a suspension has the prior of its numbers as the result.
     """
     nothing = np.zeros((len(spectra.frequencies_hz), len(TAPS)))
-    rough = RigMisfit(spectra, nothing + ROUGH)
+    rough = _rough(spectra)
     # while large errors are allowed valleys are few and wide; the deepest is kept
-    ends = [_search(rough, rig, start) for start in _starts(rig)]
+    logs = product(np.log(FACTORS), repeat=2)
+    starts = [rig.logs + np.array([2 * a, a, 2 * b, b, 0.0]) for a, b in logs]
+    ends = [_search(rough, rig, start) for start in starts]
     x, fit = min(ends, key=lambda end: end.cost).x, rough
     knots_hz = float(np.ptp(spectra.frequencies_hz)) / KNOTS
     hz, errors = torch.as_tensor(spectra.frequencies_hz), None
@@ -172,40 +176,29 @@ def fit_rig(rig: Rig, spectra: RigSpectra) -> RigReading:
     misfit, bare_misfit = fit.rms(x), RigMisfit(spectra, nothing).rms(x)
     # noise that is estimated too large has a misfit below 1
     prior = np.diag(1 / np.square(DEVIATIONS))
-    covariance = np.linalg.inv(jacobian.T @ jacobian / misfit**2 + prior)
-    return RigReading(
-        x,
-        covariance,
-        _influences(
-            np.linalg.inv(jacobian.T @ jacobian + prior),
-            jacobian,
-            residuals,
-            1 - 0.5 / max(1.0, bare_misfit) ** 2,
-        ),
-        fit.errors,
-        misfit,
-        bare_misfit,
-        bool(end.success),
-    )
+    information = jacobian.T @ jacobian
+    covariance = np.linalg.inv(information / misfit**2 + prior)
+    q = 1 - 0.5 / max(1.0, bare_misfit) ** 2
+    influences = _influences(np.linalg.inv(information + prior), jacobian, residuals, q)
+    misfits = misfit, bare_misfit, rough.rms(x)
+    return RigReading(x, covariance, influences, fit.errors, *misfits, bool(end.success))
 
 
-def rough_misfits(rig: Rig, spectra: RigSpectra, orders: Sequence[Sequence[int]]) -> list[float]:
-    """Return the rms residual with the sensors in other orders, large errors being allowed."""
-    misfits = []
-    for order in orders:
-        sensors = list(order)
-        other = replace(spectra, taps=spectra.taps[:, :, sensors], noise=spectra.noise[sensors])
-        rough = RigMisfit(other, np.full((len(spectra.frequencies_hz), len(TAPS)), ROUGH))
-        misfits.append(rough.rms(_search(rough, rig, rig.logs).x))
-    return misfits
+def better_order(rig: Rig, spectra: RigSpectra, reading: RigReading) -> tuple[int, ...]:
+    """Return the order of a record's sensors that explains it far better than it is, if any."""
+    if not reading.doubt:
+        return ()
+    misfits = {}
+    for order in permutations(range(3)):
+        i = list(order)
+        other = _rough(replace(spectra, taps=spectra.taps[:, :, i], noise=spectra.noise[i]))
+        misfits[order] = other.rms(_search(other, rig, rig.logs).x)
+    best = min(misfits, key=lambda order: misfits[order])
+    return best if misfits[best] < FAR_BETTER * reading.rough_misfit else ()
 
 
-def _starts(rig: Rig) -> list[FloatArray]:
-    """Return the logarithms of rigs from softer to stiffer than stated."""
-    return [
-        rig.logs + np.array([2 * a, a, 2 * b, b, 0.0])
-        for a, b in product(np.log(FACTORS), repeat=2)
-    ]
+def _rough(spectra: RigSpectra) -> RigMisfit:
+    return RigMisfit(spectra, np.full((len(spectra.frequencies_hz), len(TAPS)), ROUGH))
 
 
 def _search(fit: RigMisfit, rig: Rig, start: FloatArray, tol: float = ROUGH_TOL) -> OptimizeResult:

@@ -4,25 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import permutations
 from pathlib import Path
 
 import numpy as np
 
 from suspnet.curves.speeds import NoEstimateError
-from suspnet.estimation.commissioned_rig import CommissionedRig, RigEstimate, RigReading
-from suspnet.estimation.trip_settings import LEAST_TRIPS
+from suspnet.estimation.commissioned_rig import (
+    CommissionedRig,
+    RigEstimate,
+    RigReading,
+    check_enough,
+)
 from suspnet.ground.records import INTERVAL_LEVEL
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.ground.wording import ShortRepr
-from suspnet.trains.fits.rig_fit import fit_rig, rough_misfits
+from suspnet.trains.fits.rig_fit import better_order, fit_rig
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.manifest import (
-    CHANNELS,
     RIG_CHANNELS,
     RecordManifest,
     TripManifest,
-    rig_words,
 )
 from suspnet.trains.recordings.manifest_files import read_manifest
 from suspnet.trains.recordings.recording import load_recording
@@ -34,10 +35,7 @@ from suspnet.vehicle.rig import Rig
 CYCLES, LEAST_CYCLES, SHARE = 40.0, 5.0, 0.125
 """Length of a segment in periods of the rig's first mode, whose peak may be narrower than a bin,
 or of less if that is more than this share of the shortest healthy record."""
-FAR_BETTER = 0.5
-"""Misfit of sensors in another order, over that of the stated one, from which they are exchanged.
-A rig of two masses in the wrong order leaves far more."""
-NAMES = {"k_p": "base and frame", "k_s": "frame and body"}
+BETWEEN = {"k_p": "base and frame", "k_s": "frame and body"}
 """What a suspension lies between."""
 LITTLE_HZ = 1e-3
 """Frequency up to which times are taken as even while a rate alone is asked for, [Hz]."""
@@ -67,44 +65,30 @@ class RigRecord(ShortRepr):
             )
         if not np.isfinite(signals).all():
             raise ValueError(f"`signals` of {self.name} hold NaN or infinite values")
-        constant = [
-            name for name, row in zip(RIG_CHANNELS, signals, strict=True) if not np.ptp(row)
-        ]
-        if constant:
+        pairs = zip(RIG_CHANNELS, signals, strict=True)
+        if constant := [name for name, row in pairs if not np.ptp(row)]:
             raise ValueError(f"{self.name}: {', '.join(constant)} is constant: is a sensor dead?")
         object.__setattr__(self, "signals", signals)
 
 
-def load_record(path: Path | str) -> RigRecord:
+def load_record(manifest: TripManifest | Path | str) -> RigRecord:
     """Return a record by its manifest, cleaned and at the lowest rate of its sensors.
 
     TripError if the manifest is not that of a rig, or its files cannot be read.
     """
-    return loaded(read_manifest(path))
-
-
-def loaded(manifest: TripManifest) -> RigRecord:
-    """Return a record as `load_record` does."""
+    if not isinstance(manifest, TripManifest):
+        manifest = read_manifest(manifest)
     if not isinstance(manifest, RecordManifest):
         raise TripError(f"{manifest.path}: a rig's record is of `format: suspnet-record-1`")
-    recording = load_recording(manifest, _rate_hz(manifest))
-    return RigRecord(
-        np.stack([recording.values[name] for name in CHANNELS]),
-        recording.rate_hz,
-        manifest.name,
-        recording.usable,
-        rig_words("; ".join(map(str, recording.faults))),
-    )
-
-
-def _rate_hz(manifest: TripManifest) -> float:
-    """Return the lowest rate of a record's sensors, [Hz]."""
-    rates = []
+    rates_hz = []
     for name, sensor in manifest.sensors().items():
         with open_source(manifest, sensor, manifest.where(name)) as source:
             next(source.even(LITTLE_HZ))  # the first block of times gives the rate
-            rates.append(source.known_rate_hz)
-    return float(f"{min(rates):.6g}")
+            rates_hz.append(source.known_rate_hz)
+    recording = load_recording(manifest, float(f"{min(rates_hz):.6g}"))
+    signals = np.stack([recording.values[name] for name in RIG_CHANNELS])
+    faults = "; ".join(map(str, recording.faults))
+    return RigRecord(signals, recording.rate_hz, manifest.name, recording.usable, faults)
 
 
 def reading_of(rig: Rig, records: Sequence[RigRecord]) -> tuple[float, tuple[float, float]]:
@@ -129,43 +113,21 @@ def reading_of(rig: Rig, records: Sequence[RigRecord]) -> tuple[float, tuple[flo
     return min(CYCLES / rig.modes_hz[0], SHARE * shortest_s), (low_hz, high_hz)
 
 
-def exchanged(rig: Rig, record: RigRecord) -> str:
-    """Return in which order a record's sensors explain it far better; empty for the one stated.
-
-    NoEstimateError if it is too short.
-    """
-    segment_s, band_hz = reading_of(rig, [record])
-    spectra = RigSpectra.of(record.signals, record.rate_hz, segment_s, band_hz, record.usable)
-    orders = list(permutations(range(3)))
-    stated, *others = rough_misfits(rig, spectra, orders)
-    if min(others) > FAR_BETTER * stated:
-        return ""
-    return ", ".join(RIG_CHANNELS[i] for i in orders[1 + int(np.argmin(others))])
-
-
 def commission_rig(rig: Rig, records: Sequence[RigRecord]) -> CommissionedRig:
     """Return a rig as its healthy records show it.
 
-    Parameters
-    ----------
-    rig : Rig
-        What is roughly known of it.
-    records : sequence of RigRecord
-        At least three, better five or more, as differently excited as later ones.
-
-    Raises
-    ------
-    NoEstimateError
-        If one is too short or does not show the suspension, or is sampled too slowly.
-    ValueError
-        If there are fewer than three.
+    There must be three, better are five or more, as differently excited as later ones.
+    NoEstimateError if one is too short, does not show the suspension, or is sampled too slowly;
+    ValueError if there are too few, or the sensors of one look exchanged.
     """
-    if len(records) < LEAST_TRIPS:
-        raise ValueError(
-            f"{len(records)} healthy records are given, at least {LEAST_TRIPS} are needed"
-        )
+    check_enough(len(records))
     segment_s, band_hz = reading_of(rig, records)
-    readings = [read_record(rig, record, segment_s, band_hz) for record in records]
+    readings = []
+    for record in records:
+        try:
+            readings.append(read_record(rig, record, segment_s, band_hz))
+        except (NoEstimateError, TripError) as reason:
+            raise type(reason)(f"{record.name}: {reason}") from reason
     names = tuple(record.name for record in records)
     return CommissionedRig(rig, segment_s, *band_hz, names, tuple(readings))
 
@@ -173,23 +135,24 @@ def commission_rig(rig: Rig, records: Sequence[RigRecord]) -> CommissionedRig:
 def read_record(
     rig: Rig, record: RigRecord, segment_s: float, band_hz: tuple[float, float]
 ) -> RigReading:
-    """Return the numbers of a rig from one record alone; NoEstimateError if it does not show it."""
+    """Return the numbers of a rig from one record alone.
+
+    NoEstimateError if it does not show them, TripError if its sensors look exchanged.
+    """
     if PASS * record.rate_hz < SAME * band_hz[1]:
         raise NoEstimateError(
-            f"{record.name} is sampled at {record.rate_hz:.4g} Hz; the band up to {band_hz[1]:.3g} "
+            f"the record is sampled at {record.rate_hz:.4g} Hz; the band up to {band_hz[1]:.3g} "
             f"Hz needs {band_hz[1] / PASS:.4g} Hz"
         )
     spectra = RigSpectra.of(record.signals, record.rate_hz, segment_s, band_hz, record.usable)
     reading = fit_rig(rig, spectra)
-    if hidden := reading.hides():
-        coherences = dict(zip(NAMES, np.median(spectra.coherences, axis=1), strict=True))
-        between = " and of ".join(
-            f"{NAMES[name]} (coherence {coherences[name]:.2f})" for name in hidden
-        )
+    if order := better_order(rig, spectra, reading):
+        names = ", ".join(RIG_CHANNELS[i] for i in order)
+        raise TripError(f"sensors look exchanged: base, frame and body fit far better as {names}")
+    if hidden := [f"{name} (between {BETWEEN[name]})" for name in reading.hides()]:
         raise NoEstimateError(
-            f"{record.name} does not show {' and '.join(hidden)} in the motion of {between}: "
-            "excite the rig more strongly, over more frequencies or for longer, and look at the "
-            "sensors"
+            f"the record does not show {' and '.join(hidden)}: excite the rig more strongly, "
+            "over more frequencies or for longer, and look at the sensors"
         )
     return reading
 

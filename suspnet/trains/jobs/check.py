@@ -20,7 +20,7 @@ from suspnet.ground.findings import Finding, together, with_values, without
 from suspnet.ground.records import ERROR, OK
 from suspnet.trains.identification.bogie_trips import sensor_places
 from suspnet.trains.identification.from_recording import no_channel
-from suspnet.trains.identification.rig_records import exchanged, loaded, read_record, reading_of
+from suspnet.trains.identification.rig_records import load_record, read_record, reading_of
 from suspnet.trains.pages.check_page import (
     NEED_A_VEHICLE,
     PROBLEM,
@@ -90,6 +90,8 @@ def check_trip(
         result = _described(path, manifest)
         if isinstance(manifest, RecordManifest):
             return _of_rig(result, manifest, settings)
+        if manifest.vehicle in settings.rigs:
+            return _with_problems(result, ["the manifest is of a train's trip, its vehicle a rig"])
         recording = load_recording(manifest, settings.trips.rate_hz)
         return _inspected(result, recording, settings, picture)
     except TripError as error:
@@ -212,7 +214,7 @@ def _inspected(
 
 def _of_rig(result: TripCheck, manifest: RecordManifest, settings: CheckSettings) -> TripCheck:
     """Return the check of a record of a rig."""
-    record, rig = loaded(manifest), settings.rigs.get(manifest.vehicle)
+    record, rig = load_record(manifest), settings.rigs.get(manifest.vehicle)
     assert record.usable is not None
     result = _with_remarks(
         result,
@@ -227,20 +229,15 @@ def _of_rig(result: TripCheck, manifest: RecordManifest, settings: CheckSettings
         return _with_remarks(result, unknown, state=TOO_LITTLE)
     result = replace(result, band_hz=rig.band_hz)
     try:
-        if order := exchanged(rig, record):
-            return _with_problems(
-                result,
-                [f"sensors look exchanged: base, frame and body fit far better as {order}"],
-            )
-        values = read_record(rig, record, *reading_of(rig, [record])).values
+        reading = read_record(rig, record, *reading_of(rig, [record]))
     except NoEstimateError as reason:
         return _with_remarks(result, str(reason), state=TOO_LITTLE)
-    return _with_remarks(
-        result,
+    values = reading.values
+    alone = (
         f"frame alone at {values['primary_hz']:.3g} Hz, body alone at "
-        f"{values['secondary_hz']:.3g} Hz",
-        state=READY,
+        f"{values['secondary_hz']:.3g} Hz"
     )
+    return _with_remarks(result, alone, reading.doubt, state=READY)
 
 
 def _vehicle(

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import logging
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 from tabulate import tabulate
 
 from suspnet.curves.speeds import NoEstimateError
@@ -27,10 +27,10 @@ from suspnet.estimation.rig_files import save_rig
 from suspnet.ground.parameters import PARAMETERS, Severity
 from suspnet.ground.progress import bar
 from suspnet.ground.records import ERROR, INTERVAL_LEVEL, NO_ESTIMATE, OK
-from suspnet.ground.storage import printable, write_atomically, write_json
+from suspnet.ground.storage import printable, write_json, write_table
 from suspnet.ground.tensors import threads
-from suspnet.trains.identification.rig_records import commission_rig, loaded, read_record
-from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.identification.rig_records import commission_rig, load_record, read_record
+from suspnet.trains.recordings.errors import TripError, all_of
 from suspnet.trains.recordings.manifest import RecordManifest
 from suspnet.trains.recordings.manifest_files import ManifestFile, find_manifests, is_of_rig
 from suspnet.vehicle.rig import Rig
@@ -69,7 +69,9 @@ class RigResult:
         return Severity.UNKNOWN if self.estimate is None else self.estimate.severity
 
     def row(self) -> dict[str, Any]:
-        """Return the row of records.csv."""
+        """Return the row of records.csv, with the same columns for every record."""
+        estimate = self.estimate
+        numbers = {} if estimate is None else {**estimate.ratios, **estimate.values}
         row: dict[str, Any] = {
             "record": self.record,
             "start": "" if self.start is None else self.start.isoformat(),
@@ -78,48 +80,22 @@ class RigResult:
             "reason": self.reason,
             "faults": self.faults,
         }
-        if self.estimate is None:
-            return row
-        numbers = {**self.estimate.ratios, **self.estimate.values}
         for name in (*RATIOS, *ABSOLUTE):
-            value = numbers[name]
-            row |= {name: value.value, f"{name}_low": value.low, f"{name}_high": value.high}
-        return row | {"misfit": self.estimate.bare_misfit}
+            for end, column in (("value", name), ("low", f"{name}_low"), ("high", f"{name}_high")):
+                row[column] = getattr(numbers.get(name), end, None)
+        return row | {"misfit": None if estimate is None else estimate.misfit}
 
 
 def holds_records(folder: Path) -> bool:
-    """Return whether the first manifest of a folder is of a rig's record.
-
-    FileNotFoundError if the folder holds no manifest; a manifest that cannot be read is of none.
-    """
-    if not folder.is_dir() or not any(folder.glob("*.yaml")):
-        return False
+    """Return whether the first manifest of a folder is of a rig's record."""
     try:
         return is_of_rig(ManifestFile(find_manifests(folder)[0]).content)
-    except TripError:
+    except (FileNotFoundError, TripError):
         return False
 
 
-def records_of(folder: Path, rig: str) -> list[RecordManifest]:
-    """Return the manifests of a folder by start, or by name where one has none.
-
-    TripError with all problems if one is wrong or of another rig.
-    """
-    manifests: list[RecordManifest] = []
-    problems: list[str] = []
-    for path in find_manifests(folder):
-        try:
-            manifests.append(_of_rig(path, rig))
-        except TripError as error:
-            problems += error.problems
-    if problems:
-        raise TripError(*problems)
-    if any(manifest.start is None for manifest in manifests):
-        return manifests
-    return sorted(manifests, key=lambda manifest: (str(manifest.start), manifest.name))
-
-
-def _of_rig(path: Path, rig: str) -> RecordManifest:
+def _manifest(path: Path, rig: str) -> RecordManifest:
+    """Return the manifest of a record; TripError if it is wrong or not of that rig."""
     manifest = ManifestFile(path).trip
     if not isinstance(manifest, RecordManifest):
         raise TripError(f"{path}: the manifest is of a train's trip, the rig {rig} reads records")
@@ -134,10 +110,17 @@ def commission_folder(
 ) -> CommissionedRig:
     """Return a rig as the first records of a folder show it, and write it to `output`.
 
-    `n_healthy` None is all. TripError and NoEstimateError name the record that is wrong.
+    Records are sorted by start, or by name if one has none; `n_healthy` None is all. ValueError
+    names what is wrong.
     """
-    records = [loaded(manifest) for manifest in records_of(folder, rig.name)[:n_healthy]]
-    commissioned = commission_rig(rig, records)
+    manifests = all_of(partial(_manifest, path, rig.name) for path in find_manifests(folder))
+    if all(manifest.start is not None for manifest in manifests):
+        manifests.sort(key=lambda manifest: (str(manifest.start), manifest.name))
+    records = all_of(partial(load_record, manifest) for manifest in manifests[:n_healthy])
+    try:
+        commissioned = commission_rig(rig, records)
+    except (NoEstimateError, ValueError) as reason:
+        raise ValueError(f"{folder}: {reason}") from reason
     save_rig(output, commissioned)
     write_json(output / "commissioning.json", summary_of(commissioned))
     return commissioned
@@ -145,32 +128,23 @@ def commission_folder(
 
 def summary_of(rig: CommissionedRig) -> dict[str, Any]:
     """Return what healthy records show of a rig, as JSON-able values."""
-    values = {name: asdict(value) for name, value in rig.healthy().items()}
-    masses = {} if rig.rig.bogie_mass_kg is None else _si(rig, rig.rig.bogie_mass_kg)
+    mass_kg = rig.rig.bogie_mass_kg
+    logs = np.mean([reading.logs for reading in rig.readings], axis=0)
+    si = [] if mass_kg is None else (mass_kg * np.exp(logs)).tolist()
+    names = ("low_hz", "high_hz", "segment_s", "misfit", "error", "records")
     return {
         "rig": rig.rig.name,
-        "records": list(rig.records),
-        "low_hz": rig.low_hz,
-        "high_hz": rig.high_hz,
-        "segment_s": rig.segment_s,
-        "misfit": rig.misfit,
-        "error": rig.error,
+        **{name: getattr(rig, name) for name in names},
         "level": INTERVAL_LEVEL,
-        "healthy": values,
-        "healthy_si": masses,
-        "errors": np.mean([r.errors for r in rig.readings], axis=0).tolist(),
+        "healthy": {name: asdict(value) for name, value in rig.healthy().items()},
+        "healthy_si": dict(zip(PARAMETERS, si, strict=False)),
     }
-
-
-def _si(rig: CommissionedRig, bogie_mass_kg: float) -> dict[str, float]:
-    values = bogie_mass_kg * np.exp(rig.logs)
-    return dict(zip(PARAMETERS, values.tolist(), strict=True))
 
 
 def commissioning_lines(rig: CommissionedRig) -> list[str]:
     """Return what healthy records show of a rig, as lines."""
     healthy = rig.healthy()
-    rows = [[words, *_parts(healthy[name])] for name, words in SHOWN.items()]
+    rows = [[words, *_texts(healthy[name])] for name, words in SHOWN.items()]
     level = f"{100 * INTERVAL_LEVEL:g} % interval"
     return [
         f"{rig.rig.name}: {len(rig.readings)} healthy records, {rig.low_hz:.3g} to "
@@ -178,6 +152,7 @@ def commissioning_lines(rig: CommissionedRig) -> list[str]:
         *tabulate(rows, ["", "healthy", level], disable_numparse=True).splitlines(),
         f"two masses on springs leave {rig.misfit:.3g} times the noise unexplained, "
         f"{100 * rig.error:.2g} % of the signals (median over frequency), which counts as noise",
+        *(f"{n}: {r.doubt}" for n, r in zip(rig.records, rig.readings, strict=True) if r.doubt),
     ]
 
 
@@ -185,36 +160,28 @@ def commissioning_lines(rig: CommissionedRig) -> list[str]:
 def read_folder(
     rig: CommissionedRig, folder: Path, output: Path, level: float = INTERVAL_LEVEL
 ) -> list[RigResult]:
-    """Read all records of a folder; write records.csv and records.json.
+    """Read all records of a folder; write records.csv, .parquet and .json.
 
     A record that cannot be read has the reason, and harms no other. FileNotFoundError if the
     folder holds no manifest.
     """
-    results = []
     paths = find_manifests(folder)
-    for path in bar("records", len(paths), items=paths, unit="record"):
-        results.append(_result(rig, path, level))
+    items = bar("records", len(paths), items=paths, unit="record")
+    results = [_result(rig, path, level) for path in items]
     if all(result.start is not None for result in results):
         results.sort(key=lambda result: (str(result.start), result.record))
     rows = [result.row() for result in results]
-    text = io.StringIO()
-    columns = dict.fromkeys(name for row in rows for name in row)
-    table = csv.DictWriter(text, list(columns), lineterminator="\n")
-    table.writeheader()
-    table.writerows(rows)
-    write_atomically(output / "records.csv", text.getvalue())
-    write_json(
-        output / "records.json",
-        {"rig": rig.rig.name, "level": level, "healthy": summary_of(rig), "records": rows},
-    )
+    write_table(pa.Table.from_pylist(rows), output / "records")
+    summary = {"rig": rig.rig.name, "level": level, "healthy": summary_of(rig), "records": rows}
+    write_json(output / "records.json", summary)
     return results
 
 
 def _result(rig: CommissionedRig, path: Path, level: float) -> RigResult:
     result = RigResult(path.stem, ERROR)
     try:
-        manifest = _of_rig(path, rig.rig.name)
-        record = loaded(manifest)
+        manifest = _manifest(path, rig.rig.name)
+        record = load_record(manifest)
         result = replace(result, start=manifest.start, faults=record.faults)
         reading = read_record(rig.rig, record, rig.segment_s, (rig.low_hz, rig.high_hz))
     except NoEstimateError as reason:
@@ -238,41 +205,31 @@ def reading_lines(rig: CommissionedRig, results: Sequence[RigResult], level: flo
         if result.estimate is None:
             notes.append(f"{result.record}: no estimate: {result.reason}")
             continue
-        ratios = result.estimate.ratios
-        cells = [_percent(ratios[name]) for name in READS]
-        rows.append([result.record, *cells, str(result.severity)])
-        if beyond := _beyond(result.estimate):
-            notes.append(f"{result.record}: {result.severity}: {beyond}")
-    titles = [name.replace("_over_", "/") for name in READS]
+        cells = {name: _percent(ratio) for name, ratio in result.estimate.ratios.items()}
+        rows.append([result.record, *(cells[name] for name in READS), str(result.severity)])
+        beyond = [
+            f"{name} at {cells[name]} % of healthy"
+            for name, severity in result.estimate.severities.items()
+            if severity >= Severity.NOTICE
+        ]
+        if beyond:
+            notes.append(f"{result.record}: {result.severity}: {', '.join(beyond)}")
+    titles = ["record", *(name.replace("_over_", "/") for name in READS), "verdict"]
     head = f"in % of healthy, {100 * level:g} % intervals; {NOT_SHOWN}: the record does not show it"
-    table = tabulate(rows, ["record", *titles, "verdict"], disable_numparse=True)
-    healthy = f"{rig.rig.name}: {head}"
-    return [printable(line) for line in (healthy, *table.splitlines(), *notes)]
+    table = tabulate(rows, titles, disable_numparse=True) if rows else ""
+    lines = [f"{rig.rig.name}: {head}", *table.splitlines(), *notes]
+    return [printable(line) for line in lines]
 
 
-def _beyond(estimate: RigEstimate) -> str:
-    return ", ".join(
-        f"{name} at {_percent(estimate.ratios[name])} % of healthy"
-        for name, severity in estimate.severities.items()
-        if severity >= Severity.NOTICE
-    )
-
-
-def _parts(value: Value) -> tuple[str, str]:
+def _texts(value: Value, scale: float = 1.0) -> tuple[str, str]:
+    """Return a number and its interval with as many digits as that is worth."""
     if value.high > WIDEST * value.low:
-        return f"{value.value:.3g}", NOT_SHOWN
-    number, low, high = _texts(value)
-    return number, f"{low} to {high}"
+        return f"{scale * value.value:.3g}", NOT_SHOWN
+    digits = max(3, 1 - math.floor(math.log10(max(value.high / value.low - 1, 1e-5))))
+    texts = [f"{scale * end:.{digits}g}" for end in (value.value, value.low, value.high)]
+    return texts[0], f"{texts[1]} to {texts[2]}"
 
 
 def _percent(ratio: Value) -> str:
-    if ratio.high > WIDEST * ratio.low:
-        return NOT_SHOWN
-    value, low, high = _texts(Value(100 * ratio.value, 100 * ratio.low, 100 * ratio.high))
-    return f"{value} ({low} to {high})"
-
-
-def _texts(value: Value) -> list[str]:
-    """Return a number and the ends of its interval with as many digits as that is worth."""
-    digits = max(3, 1 - math.floor(math.log10(max(value.high / value.low - 1, 1e-5))))
-    return [f"{end:.{digits}g}" for end in (value.value, value.low, value.high)]
+    value, interval = _texts(ratio, 100.0)
+    return interval if interval == NOT_SHOWN else f"{value} ({interval})"

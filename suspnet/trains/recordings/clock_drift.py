@@ -18,7 +18,7 @@ from suspnet.ground.findings import Finding, together
 from suspnet.ground.types import BoolArray, ComplexArray, FloatArray, IntArray
 from suspnet.trains.recordings.cleaning import Fault
 from suspnet.trains.recordings.errors import TripError
-from suspnet.trains.recordings.manifest import CHANNELS, TripManifest
+from suspnet.trains.recordings.manifest import CHANNELS, RIG_CHANNELS, TripManifest
 from suspnet.trains.recordings.manifest_sources import channel_of
 from suspnet.trains.recordings.speed import STANDING_M_PER_S
 
@@ -94,7 +94,8 @@ def compared_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
 
     They are neighbouring channels, both sides of each, and those of the other axle with the first.
     """
-    by_channel = [[name for name in names if channel_of(name) == channel] for channel in CHANNELS]
+    channels = (*RIG_CHANNELS[:2], *CHANNELS)  # one recording has those of a rig or of a train
+    by_channel = [[name for name in names if channel_of(name) == channel] for channel in channels]
     sides = [sensors for sensors in by_channel if sensors]
     elsewhere = [(sides[0][0], name) for name in names if sides and not channel_of(name)]
     pairs = [(sensors[0], sensors[1]) for sensors in sides if len(sensors) == 2]

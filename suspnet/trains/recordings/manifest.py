@@ -41,7 +41,7 @@ RECORD_FORMAT = "suspnet-record-1"
 CHANNELS = ("axle_box", "bogie", "body")
 """The three vertical accelerometers, in the order of every array of signals."""
 RIG_CHANNELS = ("base", "frame", "body")
-"""Names of ``CHANNELS`` in the manifests of rigs."""
+"""The three accelerometers of a rig, likewise."""
 NAME = f"text, at most {MOST_NAME} characters"
 """Type of the names in a manifest."""
 TEMPERATURES_C = (-60.0, 60.0)
@@ -294,36 +294,20 @@ MANIFEST = {"format": ManifestKey(check.one_of([FORMAT]), "text", f"`{FORMAT}`")
 """All keys of a manifest, by name."""
 
 
-def _rig_channels(value: Value) -> dict[str, SensorSource | Several]:
-    """Return the sensor of each of ``CHANNELS`` from those of ``RIG_CHANNELS``."""
-    single = ManifestKey(check.mapping_of(SensorSource), "", "")
-    read = value.read(dict.fromkeys(RIG_CHANNELS, single))
-    return dict(zip(CHANNELS, read.values(), strict=True))
+def _rig_channels(value: Value) -> dict[str, SensorSource]:
+    return value.read(
+        dict.fromkeys(RIG_CHANNELS, ManifestKey(check.mapping_of(SensorSource), "", ""))
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordManifest(TripManifest):
-    """One record of a rig: accelerometers on base, frame and body.
-
-    Base, frame and body are the channels ``CHANNELS`` of the recording. The rig stands, and has no
-    mileage.
-    """
+    """One record of a rig, which stands: its `channels` are a sensor for each ``RIG_CHANNELS``."""
 
     shortest_s: ClassVar[float] = 1.0
     suspension: str = "rig"
     mileage_km: float = float("nan")
     speed: float = 0.0
-
-    def where(self, name: str) -> str:
-        """Return file and source, as errors name them."""
-        return of(self.path, Finding("channel", name=repr(rig_words(name))))
-
-
-def rig_words(text: str) -> str:
-    """Return a text with the names of ``RIG_CHANNELS`` for those of ``CHANNELS``."""
-    for ours, theirs in zip(CHANNELS, RIG_CHANNELS, strict=True):
-        text = text.replace(ours, theirs)
-    return text
 
 
 _SHARED = ("start", "temperature_c", "truth")

@@ -41,15 +41,13 @@ class RigSpectra:
 
     `taps` (n_freq, 3, 3) are the x_m by m and sensor [m/s2 / sqrt(Hz)], summed over the segments
     with the weights of the module's docstring, and `shares` (n_freq,) their factor, from 0 to 1.
-    `noise` (3,) is the density of the sensors' noise [(m/s2)^2/Hz], `coherences` (2, n_freq) are
-    those of base and frame, and of frame and body.
+    `noise` (3,) is the density of the sensors' noise [(m/s2)^2/Hz].
     """
 
     frequencies_hz: FloatArray
     taps: ComplexArray
     shares: FloatArray
     noise: FloatArray
-    coherences: FloatArray
     segment_s: float
 
     @classmethod
@@ -98,7 +96,6 @@ class RigSpectra:
             scale * above[:, None, None] * taps,
             above,
             noise,
-            _coherences(matrix),
             segment_s,
         )
 
@@ -114,11 +111,3 @@ def _noise(matrix: ComplexArray, n_averages: float) -> FloatArray:
     # noise alone has that quantile: two other sensors explain as much as two averages
     expected = gamma.ppf(NOISE_QUANTILE, n_averages - 2) / n_averages
     return np.asarray(np.quantile(1 / inverse, NOISE_QUANTILE, axis=0) / expected)
-
-
-def _coherences(matrix: ComplexArray) -> FloatArray:
-    """Return those of neighbouring sensors, (2, n_freq)."""
-    power = matrix.diagonal(axis1=1, axis2=2).real
-    return np.stack(
-        [np.abs(matrix[:, i, i + 1]) ** 2 / (power[:, i] * power[:, i + 1]) for i in (0, 1)]
-    )

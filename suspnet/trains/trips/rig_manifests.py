@@ -19,6 +19,13 @@ OF_CHANNELS = {
 """Key of each channel in the manifest of a record, by that of a trip."""
 
 
+def rig_words(text: str) -> str:
+    """Return a text on the channels of trips as one on those of records."""
+    for ours, theirs in OF_CHANNELS.items():
+        text = text.replace(ours, theirs)
+    return text
+
+
 def as_said_for_trips(words: Iterable[str]) -> list[str]:
     """Return the KEY=VALUE of a command line with the keys of trips for those of records.
 
@@ -37,7 +44,10 @@ def as_said_for_trips(words: Iterable[str]) -> list[str]:
 def as_record(trip: Trip) -> Trip:
     """Return the manifest of a trip as that of a record, which needs neither place nor speed."""
     content = parse_yaml(trip.text)
-    channels, missing = {}, [key for key in trip.missing if key in ("vehicle", "unit", "rate_hz")]
+    channels, missing = (
+        {},
+        [key for key in trip.missing if key in ("vehicle", "unit", "rate_hz", "range")],
+    )
     for ours, theirs in zip(CHANNELS, RIG_CHANNELS, strict=True):
         sources = (content.get("channels") or {}).get(ours, [])
         if len(sources) == 1:
