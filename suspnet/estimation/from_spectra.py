@@ -41,7 +41,6 @@ from suspnet.estimation.flags import with_doubt
 from suspnet.estimation.from_curves import ONE_SIGMA, corrected, residual_scales
 from suspnet.estimation.intervals import COMMON, LARGEST_MISFIT
 from suspnet.estimation.refine import Refined, complete_ratios, refine
-from suspnet.estimation.relative_velocity import DampingByVelocity, relative_velocities
 from suspnet.ground.findings import Finding
 from suspnet.ground.types import FloatArray
 from suspnet.vehicle.quantities import FAILED_DEVIATION, FAILED_OTHER, OF_THE_TRIP
@@ -61,8 +60,7 @@ CORRECTIONS = 3
 within a tenth of the training speed (measured)."""
 UNWORN = {"k_p": 0.06}
 """Fraction of the healthy stiffness that does not wear, over the share of the primary damping that
-is dry friction: it acts as a spring where it sticks. What it is as a damper, where it slips, is in
-`suspnet.estimation.relative_velocity`."""
+is dry friction: it acts as a spring where it sticks."""
 OF_THE_TRAINING = ("cloud", "range")
 """Kinds of flags that concern the regression alone, not an estimate from the curve itself."""
 FAILED_FROM, FAILED_GAIN = 1.3, 1.1
@@ -148,10 +146,6 @@ def estimate_with_noise(
     spread = np.sqrt(lasting + noise**2)
     estimate = _estimate(method, values, factor / usual * spread, level, flags)
     estimate = replace(estimate, found=failure, misfit=float(refined.misfit[0]))
-    law = DampingByVelocity.noted(method.training)
-    if law is not None:
-        velocities = relative_velocities(spectra, observer.frequencies_hz)
-        estimate = law.compared(estimate, velocities.tolist())
     return estimate, 1 - np.divide(lasting, spread**2, out=np.zeros_like(lasting), where=spread > 0)
 
 

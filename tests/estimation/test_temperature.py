@@ -5,55 +5,22 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
-import torch
 from scipy.stats import norm
 from trip_fixtures import changed, model_at, write_trips
-from vehicles import AM96
 
-from suspnet.curves.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
-from suspnet.curves.estimates import EstimateSettings
-from suspnet.curves.speeds import Speeds
 from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.temperature import (
     DAMPINGS,
     NOTE,
-    SLOPE_DEVIATION,
-    USUAL_SLOPE,
     DampingByTemperature,
     kelvins_warmer,
 )
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.trains.fits.commissioning import commission
-from suspnet.trains.fits.healthy_misfit import HealthyMisfit, HealthySpectra
 from suspnet.trains.pages.details import healthy_words
 from suspnet.trains.simulation.fleet import Scenario
 from suspnet.trains.trips.trip import evaluate_trip
-from suspnet.vehicle import VerticalVehicle
 
-SETTINGS = EstimateSettings(
-    segment_s=5.0, rates_hz=(1000.0, 500.0, 500.0), high_hz=9.9, body_high_hz=9.0
-).bound(AM96)
-GENERATOR = VerticalVehicle(AM96, distribution={f"healthy_{name}": 0.3 for name in ("c_p", "c_s")})
-MASSES = (0.95, 1.05, 1.15)
-SLOPES = {"c_p": -0.007, "c_s": -0.002}
 LAW = DampingByTemperature(15.0, (-0.004, -0.005), (0.002, 0.001))
-
-
-def healthy(temperatures_c, known=True, slopes=SLOPES):
-    """Return drawn spectra of healthy trips whose damping follows their temperature."""
-    source, groups = torch.Generator().manual_seed(0), []
-    taps = moving_average_with(SETTINGS.welch.correlation().numpy())
-    middle = np.mean(temperatures_c)
-    for i, (mass, warm_c) in enumerate(zip(MASSES, temperatures_c, strict=True)):
-        c_p, c_s = (math.exp(slopes[name] * (warm_c - middle)) for name in DAMPINGS)
-        bogies = replace(GENERATOR, distribution=None, other_bogie="same")
-        rows = torch.tensor([[1.0, c_p, 1.0, c_s, mass]], dtype=torch.float64)
-        at = Speeds((70.0,), (1.0,))
-        drawn = sample_spectra(SETTINGS.observer(bogies).at(at).expected(rows), taps, source)
-        spectra = CrossSpectra(drawn.auto[0], drawn.cross[0], drawn.n_averages)
-        given = warm_c if known else None
-        groups.append(HealthySpectra(i, f"trip_{i}", at, spectra, temperature_c=given))
-    return groups
 
 
 # reference
@@ -77,44 +44,6 @@ def test_a_trip_is_compared_as_the_formula_says(warm_c):
             above = math.hypot(math.log(high[row, j] / values[row, j]), common)
             assert found.low[row, j] == pytest.approx(math.exp(log - below))
             assert found.high[row, j] == pytest.approx(math.exp(log + above))
-
-
-def test_trips_of_all_temperatures_have_the_sum_of_squares_of_the_damping_there():
-    groups = healthy((-5.0, 10.0, 31.0))
-    target = HealthyMisfit(GENERATOR, SETTINGS, groups)
-    assert target.n_of_damping == 2
-    standard = np.array([0.4, -1.3])
-    z = np.array([0.1, -0.2])
-    theta = np.concatenate([z, np.log(MASSES), standard])
-    found = target.residuals(torch.as_tensor(theta)[None], 0.0).square().sum()
-    expected = np.sum(z**2) + np.sum(standard**2)
-    expected += np.sum(((np.log(MASSES) - math.log(1.05)) / 0.15) ** 2)
-    healthy_logs = GENERATOR.distribution.factor @ z
-    for group, warm_c in zip(groups, (-5.0, 10.0, 31.0), strict=True):
-        own = -0.004 + 0.002 * standard
-        c_p, c_s = np.exp(healthy_logs + own * (warm_c - 12.0))
-        bogies = replace(GENERATOR, distribution=None, other_bogie="same")
-        row = torch.tensor([[1.0, c_p, 1.0, c_s, MASSES[group.trip]]], dtype=torch.float64)
-        observer = SETTINGS.observer(bogies).at(group.speeds)
-        misfit = observer.measured_misfit(group.spectra)
-        u = 1 - observer.noise_free(row) / misfit.observed
-        white = misfit.whitened(u, torch.zeros(1, dtype=torch.int64), 0.0)
-        expected += float(white.square().sum())
-    assert float(found) == pytest.approx(expected, rel=1e-9)
-
-
-def test_slopes_are_found_where_healthy_trips_differ_in_temperature():
-    found = commission(GENERATOR, SETTINGS, healthy((-5.0, 10.0, 31.0)), n_starts=1)
-    law = found.laws.temperature
-    assert law.healthy_c == 12.0
-    for name, slope, deviation in zip(DAMPINGS, law.slopes, law.deviations, strict=True):
-        assert deviation < 0.3 * SLOPE_DEVIATION
-        assert abs(slope - SLOPES[name]) < 4 * deviation
-    assert found.misfit < 1.1
-    np.testing.assert_allclose(found.masses, MASSES, rtol=0.02)
-    unknown = commission(GENERATOR, SETTINGS, healthy((-5.0, 10.0, 31.0), False), n_starts=1)
-    assert unknown.laws.temperature is None
-    assert unknown.misfit > 1.5  # one damping does not explain trips of all temperatures
 
 
 # whole trips
@@ -150,20 +79,6 @@ def test_a_warm_trip_reads_healthy_where_its_temperature_is_known(warm_trip):
 
 
 # limits
-
-
-@pytest.mark.parametrize("temperatures_c", [(12.0, 12.0, 12.0), (None, 12.0, None)])
-def test_trips_of_one_temperature_leave_the_prior(temperatures_c):
-    groups = [
-        replace(one, temperature_c=warm_c)
-        for one, warm_c in zip(healthy((0.0, 0.0, 0.0)), temperatures_c, strict=True)
-    ]
-    target = HealthyMisfit(GENERATOR, SETTINGS, groups)
-    assert target.n_of_damping == 0
-    _, laws, _ = target.posterior(np.concatenate([np.zeros(2), np.log(MASSES)]))
-    assert laws.temperature == DampingByTemperature(
-        12.0, (USUAL_SLOPE,) * 2, (SLOPE_DEVIATION,) * 2
-    )
 
 
 def test_an_unknown_temperature_changes_nothing():

@@ -146,11 +146,6 @@ def test_trips_come_by_mileage_each_with_its_speed(folder):
     assert found.left_out == ()
 
 
-def test_spectra_have_the_temperature_of_their_trip(folder):
-    changed(folder / "first.yaml", folder, "first", temperature_c=-3.5)
-    assert [group.temperature_c for group in read(folder).groups] == [None, None, -3.5]
-
-
 def test_first_trips_by_mileage_are_taken(folder):
     changed(folder / "first.yaml", folder, "latest", mileage_km=9000.0)
     assert len(read(folder).manifests) == 4

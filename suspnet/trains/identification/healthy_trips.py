@@ -277,7 +277,6 @@ def _spectra(
             Speeds.of(*part.speed),
             part.spectra,
             left_out=part.left_out,
-            temperature_c=manifest.temperature_c,
         )
         for part in steady(segments, speeds, groups, settings, trips, wheel_lines(recording))
         if part.spectra is not None and part.has_enough
