@@ -19,7 +19,7 @@ from suspnet.curves.protocols import Task
 from suspnet.estimation.bogie_model import BOGIE, BogieModel
 from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScatter
 from suspnet.estimation.fitted import Model, ModelFileError
-from suspnet.estimation.flags import OODDetector, Unexplained
+from suspnet.estimation.flags import OODDetector
 from suspnet.estimation.intervals import Intervals
 from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.estimation.trained import TrainedModel
@@ -46,7 +46,6 @@ FEATURES = "features."
 CALIBRATED: dict[str, tuple[str, Any]] = {
     "intervals.": ("intervals", Intervals),
     "ood.": ("ood", OODDetector),
-    "physics.": ("unexplained", Unexplained),
 }
 """Calibrated parts of a model by the name prefix of their arrays: attribute and class."""
 NOT_OF_THE_MODEL = ("arrays_sha256", "suspnet_version", "units")
@@ -264,6 +263,11 @@ def parameters(estimator: Any) -> dict[str, Any]:
 def _check_description(path: Path, content: Any) -> None:
     if not isinstance(content, dict) or "schema_version" not in content:
         raise ModelFileError(f"{path} is not a suspnet model: it has no schema_version")
+    if content.get("model") != BOGIE and "commissioned" in content.get("training", {}):
+        raise ModelFileError(
+            f"{path} is a regression for the vehicle that healthy trips showed, which suspnet no "
+            "longer reads: commission again"
+        )
     if content["schema_version"] != SCHEMA_VERSION:
         raise ModelFileError(
             f"{path} has schema version {content['schema_version']}, this suspnet reads "

@@ -154,8 +154,6 @@ def _check_calibration(model: TrainedModel, n_inputs: int, n_outputs: int) -> No
             math.isfinite(ood.distance_threshold)
         ) * len(ood.reference):
             raise ValueError("the thresholds of the OOD detector must be finite")
-    if model.unexplained is not None:
-        _check_vector("physics.costs", model.unexplained.costs, n_outputs)
 
 
 def _check_bogie(model: BogieModel) -> None:

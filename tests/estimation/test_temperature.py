@@ -1,24 +1,17 @@
 """Damping at equal temperature: naive formulas, slopes that healthy trips show, whole trips."""
 
 import math
-from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 from scipy.stats import norm
-from trip_fixtures import changed, model_at, write_trips
 
 from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.temperature import (
-    DAMPINGS,
     NOTE,
     DampingByTemperature,
     kelvins_warmer,
 )
-from suspnet.estimation.trip_settings import TripSettings
-from suspnet.trains.pages.details import healthy_words
-from suspnet.trains.simulation.fleet import Scenario
-from suspnet.trains.trips.trip import evaluate_trip
 
 LAW = DampingByTemperature(15.0, (-0.004, -0.005), (0.002, 0.001))
 
@@ -44,38 +37,6 @@ def test_a_trip_is_compared_as_the_formula_says(warm_c):
             above = math.hypot(math.log(high[row, j] / values[row, j]), common)
             assert found.low[row, j] == pytest.approx(math.exp(log - below))
             assert found.high[row, j] == pytest.approx(math.exp(log + above))
-
-
-# whole trips
-
-
-@pytest.fixture(scope="module")
-def warm_trip(tmp_path_factory):
-    """A trip whose dampers have lost 8 %."""
-    lost = {"from_km": 0, "to_km": 0, "ratio": 0.92}
-    folder = tmp_path_factory.mktemp("warm")
-    (path,) = write_trips(folder, scenario=Scenario("warm", dict.fromkeys(DAMPINGS, lost)))
-    return changed(path, folder, "at_35", temperature_c=35.0), path
-
-
-def test_a_warm_trip_reads_healthy_where_its_temperature_is_known(warm_trip):
-    known, unknown = warm_trip
-    plain = model_at()
-    notes = {"n_trips": 3, "mileage_km": [0.0, 10.0], NOTE: asdict(DampingByTemperature(15.0))}
-    model = replace(plain, training=plain.training | {"commissioned": notes})
-    as_before = evaluate_trip(known, [plain], TripSettings())
-    cold, warm = (evaluate_trip(one, [model], TripSettings()) for one in (unknown, known))
-    assert cold.estimates == as_before.estimates
-    assert cold.half_widths == as_before.half_widths
-    for name in DAMPINGS:
-        assert cold.estimates[name] == pytest.approx(0.92, abs=0.02)
-        assert warm.estimates[name] == pytest.approx(cold.estimates[name] * math.exp(0.08))
-        assert abs(math.log(warm.estimates[name])) < warm.half_widths[name]
-        assert warm.half_widths[name] > norm.ppf(0.95) * 0.04
-    assert warm.estimates["k_s"] == cold.estimates["k_s"]
-    assert healthy_words(model) == "what 3 trips from 0 to 10 km showed, damping at 15 °C"
-    alone = model.estimate(known)
-    assert dict(zip(alone.names, alone.values[0].tolist(), strict=True)) == warm.estimates
 
 
 # limits
