@@ -40,7 +40,7 @@ from suspnet.ground.types import FloatArray
 from suspnet.learning import METHODS, Scaling
 from suspnet.vehicle import GENERATORS, SpatialVehicle, Vehicle
 
-SCHEMA_VERSION = 11
+SCHEMA_VERSION = 12
 FEATURES = "features."
 """Name prefix of the feature set's arrays."""
 CALIBRATED: dict[str, tuple[str, Any]] = {
