@@ -152,14 +152,6 @@ def test_first_trips_by_mileage_are_taken(folder):
     assert [one.name for one in read(folder, n_first=3).manifests] == NAMES[::-1]
 
 
-def test_later_trips_tell_the_directions_that_models_are_needed_for(folder):
-    assert read(folder).directions == ("forward",)
-    changed(folder / "first.yaml", folder, "latest", mileage_km=9000.0, direction="reverse")
-    first = read(folder, n_first=3)
-    assert {group.direction for group in first.groups} == {"forward"}
-    assert first.directions == ("forward", "reverse")
-
-
 def test_stretches_at_several_speeds_are_groups_of_one_trip(folder, manifests):
     part = {"speed": speeds(manifests[0], 60.0, 70.0)}
     changed(folder / "third.yaml", folder, "third", signals=part)
