@@ -6,7 +6,7 @@ and T_0 the mean of the healthy trips, the damping c of a suspension follows::
     log c(T) = log c(T_0) + b (T - T_0)
 
 b [1/K] is normal, of primary and of secondary damping each; healthy trips of different temperatures
-narrow it (`suspnet.trains.identification.healthy_trips`). Estimates are compared at T_0, and the
+narrow it (`suspnet.trains.fits.bogie_misfit`). Estimates are compared at T_0, and the
 uncertainty of b widens their intervals with abs(T - T_0). Springs change by a tenth of that and are
 left alone.
 """
