@@ -19,7 +19,6 @@ import interval_coverage
 import methods_table
 import named_parts
 import numpy as np
-import one_way
 import readings
 import rough_train
 from against_n import METHODS, TUBE
@@ -32,7 +31,7 @@ from tube import tube_markdown
 from suspnet.cli.kinds import read_vehicles
 from suspnet.ground.storage import write_atomically
 from suspnet.runs.tables import MODEL_TITLES, table6_caption, table6_markdown
-from suspnet.vehicle import PARAMETERS, QuarterCar
+from suspnet.vehicle import QuarterCar
 from suspnet.vehicle.quantities import PARTS, QUANTITIES
 
 ROOT = Path(__file__).parents[1]
@@ -72,14 +71,10 @@ CASES = {
 }
 """Cases of the table of foreign vehicles, in words."""
 OF_PAGE = (
-    *("none", "all", "all, left", "all+payload", "all+sensors", "all+wheelsets 1 %"),
+    *("none", "all", "all, left", "all+payload"),
     *("all+second_bending", "all+one_side", "all+blow_off", "all+friction"),
 )
 """Cases that the page of trust shows; mismatch.md has them all."""
-SHOWN = {"all": "left and right", "all, left": "on one side"}
-"""Cases that README shows, by their sensors."""
-READINGS = {"nominal": "its drawing", "commissioned": "commissioned"}
-"""What trips are read with, in words."""
 
 
 def markdown(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
@@ -199,30 +194,17 @@ def digits(percent: float) -> str:
     return f"{percent:.0f}" if percent >= 99.5 else f"{percent:.2g}"
 
 
-def mismatch_short(rows: Sequence[Row]) -> str:
-    """Return the rows of `mismatch` that README shows; ValueError if none were commissioned."""
-    lines = []
-    for case, sensors in SHOWN.items():
-        for reading, words in READINGS.items():
-            some = of_trains(rows, case, "spectra", reading)
-            errors = [over_trains(same, "rms_percent") for same in some.values()]
-            lines.append([sensors, words, *errors[:4], flagged(some)])
-    if all("-" in line for line in lines):
-        raise ValueError("no trips of commissioned trains")
-    return markdown(lines, ["sensors", "read with", *PARAMETERS[:4], "flagged"])
-
-
 def mismatch(rows: Sequence[Row]) -> str:
     """Return errors and intervals of trips of foreign trains; ValueError if there are no cases."""
     if not all("case" in row for row in rows):
         raise ValueError("results of another benchmark")
     lines = []
-    for case, trips in itertools.product(OF_PAGE, ("spectra", "time")):
-        nominal = of_trains(rows, case, trips, "nominal")
-        some = of_trains(rows, case, trips, "commissioned")
+    for case in OF_PAGE:
+        nominal = of_trains(rows, case, "nominal")
+        some = of_trains(rows, case, "commissioned")
         if not some:
             continue
-        line = [CASES[case], trips]
+        line = [CASES[case]]
         for each in (nominal, some):
             errors = [over_trains(same, "rms_percent") for same in each.values()]
             line.append(", ".join(errors) or "-")
@@ -234,16 +216,15 @@ def mismatch(rows: Sequence[Row]) -> str:
         lines.append(
             [*line, ", ".join(widths), ", ".join(held), f"{max(misfits):.2f}", flagged(some)]
         )
-    header = ["the train has", "trips", "nominal", "commissioned"]
+    header = ["the train has", "nominal", "commissioned"]
     return markdown(lines, [*header, "half widths", "hold %", "misfit", "flagged"])
 
 
-def of_trains(rows: Sequence[Row], case: str, trips: str, reading: str) -> dict[str, list[Row]]:
-    """Return the rows of some trips by output, a row for each train."""
+def of_trains(rows: Sequence[Row], case: str, reading: str) -> dict[str, list[Row]]:
+    """Return the rows of a case by output, a row for each train."""
     found: dict[str, list[Row]] = {}
     for row in rows:
-        key = tuple(row[name] for name in ("case", "trips", "reading"))
-        if key == (case, trips, reading) and "rms_percent" in row:
+        if (row["case"], row["reading"]) == (case, reading) and "rms_percent" in row:
             found.setdefault(row["output"], []).append(row)
     return found
 
@@ -258,20 +239,6 @@ def flagged(by_output: Mapping[str, Sequence[Row]]) -> str:
     for rows in by_output.values():
         return f"{sum(r['n_flagged'] for r in rows)} of {sum(r['n_read'] for r in rows)}"
     return "-"
-
-
-def healthy_km(rows: Sequence[Row]) -> str:
-    """Return the alarms on healthy foreign trains, over all trains of a case."""
-    lines = []
-    for case in dict.fromkeys(row["case"] for row in rows):
-        some = [row for row in rows if row["case"] == case]
-        alarms, km = (sum(row[name] for row in some) for name in ("alarms", "km"))
-        flags = f"{sum(r['n_flagged'] for r in some)} of {sum(r['n_read'] for r in some)}"
-        largest = digits(max(row["largest_error_percent"] for row in some))
-        rate = f"{1e6 * alarms / km:.2g}"
-        lines.append([CASES[case], flags, largest, f"{km:,.0f}", f"{alarms:.0f}", rate])
-    header = ["the train has", "flagged", "largest error %", "km", "alarms", "in 1,000,000 km"]
-    return markdown(lines, header)
 
 
 def against_n(rows: Sequence[Row]) -> str:
@@ -409,8 +376,6 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "paper_impact": (None, paper_impact),
     "coverage": ("coverage.csv", interval_coverage.table),
     "mismatch": ("mismatch.csv", mismatch),
-    "mismatch_short": ("mismatch.csv", mismatch_short),
-    "healthy_km": ("healthy_km.csv", healthy_km),
     "family": (None, family),
     "against_n": ("against_n.csv", against_n),
     "plan": ("plan.csv", plan),
@@ -427,7 +392,6 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
         None,
         lambda rows: named_parts.layouts_table(named_parts.stored(LAYOUT_CASES)),
     ),
-    "one_way": ("one_way.csv", one_way.table),
     "rough_train": ("rough_train.csv", rough_train.table),
     "training_time": ("training_time.csv", training_time),
     "two_suspensions": ("two_suspensions.csv", two_suspensions),

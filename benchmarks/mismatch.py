@@ -1,15 +1,13 @@
 """What it costs to read trips of a vehicle that is not the one that a model was trained for.
 
-python benchmarks/mismatch.py [--time] [--cases none bending ...] [--readings nominal ...]
-    [--seeds 0 1 2]
+python benchmarks/mismatch.py [--cases none bending ...] [--readings nominal ...] [--seeds 0 1 2]
 
 Each case is a train of tests/rich_train.py, for each seed with numbers of its own: first healthy
-trips, then trips of worn vehicles, one each. Trips are drawn as spectra, exact in distribution, or
-with --time stepped in time, written to files and read as recordings are. "Commissioned" fits the
-vehicle to the healthy trips; in time it reads later trips itself, as the program does, and of
-spectra a method is trained on what they leave open. "nominal" trains on the vehicle file alone.
-Adds bias, rms error and coverage of the 90 % intervals to mismatch.csv, case by case, in place of
-what it held of the same ones, and writes mismatch.md.
+trips, then trips of worn vehicles, one each, stepped in time, written to files and read as
+recordings are. "commissioned" is the vehicle that the healthy trips show, which reads the later
+ones, as the program does. "nominal" is a method trained on the vehicle file alone. Adds bias, rms
+error and coverage of the 90 % intervals to mismatch.csv, case by case, in place of what it held of
+the same ones, and writes mismatch.md.
 """
 
 import csv
@@ -18,7 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -26,39 +24,28 @@ import torch
 from cells import Parser, Row, at_least
 from foreign_trains import CASES, TESTS, Case
 from hydra import compose, initialize_config_dir
-from rich_spectra import drawn_estimates
-from rich_train import RichTrain
 from rich_train_trips import true_ratios, write_train_trips
 from rich_trips import SENSORS, drawn_ratios
 from tabulate import tabulate
 
 from suspnet.cli import program  # noqa: F401 - makes our resolvers known to Hydra
 from suspnet.cli.kinds import build
-from suspnet.curves.cross_spectra import CrossSpectra
-from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.problem import TRAIN, Problem
-from suspnet.curves.speeds import NoEstimateError, Speeds
+from suspnet.curves.speeds import NoEstimateError
 from suspnet.estimation.bogie_model import BogieModel
 from suspnet.estimation.estimate import Estimate
-from suspnet.estimation.from_spectra import estimate_with_noise
-from suspnet.estimation.relative_velocity import NOTE
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.ground.parameters import FORWARD, Direction
 from suspnet.runs.fit import fit
-from suspnet.runs.predict import calibrated, with_unexplained
-from suspnet.trains.fits.commissioning import Commissioned, commission
-from suspnet.trains.fits.healthy_misfit import HealthySpectra
+from suspnet.runs.predict import calibrated
 from suspnet.trains.identification.healthy_trips import read_healthy
-from suspnet.trains.jobs.commissioning import FAMILY as FAMILY_PARTS
 from suspnet.trains.jobs.commissioning import check_generator, commission_parts
 from suspnet.trains.recordings.manifest_files import find_manifests
 from suspnet.trains.simulation import Fleet
-from suspnet.vehicle.quantities import LogNormal
 
 RESULTS = TESTS.parent / "benchmarks" / "results"
 NOMINAL, COMMISSIONED = READINGS = ("nominal", "commissioned")
-KEYS = ("case", "trips", "reading", "seed")
+KEYS = ("case", "reading", "seed")
 """Columns that tell the rows of one run."""
 LEVEL = 0.9
 IN_TABLE = ("bias_percent", "rms_percent", "coverage_percent")
@@ -72,20 +59,16 @@ class Trips:
     Attributes
     ----------
     case : Case
-    given : sequence of CrossSpectra or Path
-        Spectra or manifests.
+    given : sequence of Path
+        Manifests.
     truth : array of shape (n_trips, 5), [-]
     n_healthy : int
-    speeds, directions : sequence of Speeds, of Direction
-        Of each trip that is given as spectra; no direction is forward.
     """
 
     case: Case
-    given: Sequence[CrossSpectra | Path]
+    given: Sequence[Path]
     truth: np.ndarray
     n_healthy: int
-    speeds: Sequence[Speeds] = ()
-    directions: Sequence[Direction] = ()
 
 
 def configuration(options, case, *overrides):
@@ -93,45 +76,10 @@ def configuration(options, case, *overrides):
     rates = [sensor["rate_hz"] for sensor in SENSORS.values()]
     given = [f"data.rates_hz={rates}", f"data.minutes={options.minutes}", *options.train]
     given += [f"generator.sensor_lateral_m={case.lateral_m}"]
-    if "friction" in case.effects:  # its file says so, that of the others says that there is none
-        given += ["vehicle.primary_friction_share=0.15"]
-    if "blow_off" in case.effects:
-        given += [f"vehicle.{which}_blow_off_m_per_s=0.06" for which in ("primary", "secondary")]
     if case.speeds is not None:
         given += [f"speed_m_per_s={sum(case.speeds) / 2}"]
     with initialize_config_dir(str(TESTS.parent / "configs"), version_base="1.3"):
         return compose("train", overrides=["experiment=trips", *given, *overrides])
-
-
-def settings_of(options, case: Case) -> EstimateSettings:
-    """Return the bins, leakage, averages and noise of the trips of a case."""
-    config = configuration(options, case)
-    return build(config, "data").bound(build(config, "generator").vehicle)
-
-
-def drawn_spectra(
-    case: Case, train: RichTrain, ratios: np.ndarray, settings: EstimateSettings, seed: int
-) -> list[CrossSpectra]:
-    """Return the spectra of a trip of each row of ratios."""
-    drawn = drawn_estimates(train, ratios, settings, seed, case.sides)
-    parts = zip(drawn.auto, drawn.cross, strict=True)
-    return [CrossSpectra(*p, drawn.n_averages) for p in parts]
-
-
-def drawn_at(
-    options, case: Case, ratios: np.ndarray, alike: Sequence[tuple[float, bool]], first: int = 0
-) -> list[CrossSpectra]:
-    """Return the spectra of trips in order of `alike`: the speed [m/s] of each, and if at fault.
-
-    `first` is the number of the first trip, from which its noise follows.
-    """
-    settings, spectra = settings_of(options, case), []
-    for speed, with_faults in dict.fromkeys(alike):
-        rows = [i for i, one in enumerate(alike) if one == (speed, with_faults)]
-        there = case.train(options.seed, with_faults).at(speed)
-        seed = options.seed + 1000 * (first + rows[0])
-        spectra += drawn_spectra(case, there, ratios[rows], settings, seed)
-    return spectra
 
 
 def made(options, case: Case, folder: Path) -> Trips:
@@ -141,20 +89,14 @@ def made(options, case: Case, folder: Path) -> Trips:
     ratios = drawn_ratios(options.healthy, fleet, options.seed)
     train = case.train(options.seed)
     truth = np.array([list(true_ratios(train, row, case.sides).values()) for row in ratios])
-    if options.time:
-        sides = "pair" if case.sides == "mean" else case.sides
-        each = options.healthy, options.trips, options.seed
-        ways = {"speeds_m_per_s": case.speeds_of(*each), "roughness": case.roughness_of(*each)}
-        write_train_trips(folder, train, ratios, fleet, options.seed, sides, **ways)
-        return Trips(case, find_manifests(folder), truth, options.healthy)
-    speeds = case.speeds_of(options.healthy, options.trips, options.seed)
-    at_fault = [bool(case.faults) and i >= options.healthy for i in range(n_trips)]
-    spectra = drawn_at(options, case, ratios, list(zip(speeds, at_fault, strict=True)))
-    at = [Speeds((speed,), (1.0,)) for speed in speeds]
-    return Trips(case, spectra, truth, options.healthy, at)
+    sides = "pair" if case.sides == "mean" else case.sides
+    each = options.healthy, options.trips, options.seed
+    ways = {"speeds_m_per_s": case.speeds_of(*each), "roughness": case.roughness_of(*each)}
+    write_train_trips(folder, train, ratios, fleet, options.seed, sides, **ways)
+    return Trips(case, find_manifests(folder), truth, options.healthy)
 
 
-def commissioned_bogie(config, trips: Trips, folder: Path) -> BogieModel:
+def commissioned(config, trips: Trips, folder: Path) -> BogieModel:
     """Return the model that the program makes of healthy trips on disk."""
     generator, settings = check_generator(build(config, "generator")), build(config, "data")
     bound = settings.bound(generator.vehicle)
@@ -162,47 +104,22 @@ def commissioned_bogie(config, trips: Trips, folder: Path) -> BogieModel:
     return BogieModel(commission_parts(healthy, TripSettings()), generator, bound)
 
 
-def commissioned(config, trips: Trips) -> Commissioned:
-    """Return the vehicle that the spectra of healthy trips show."""
-    generator, settings = build(config, "generator"), build(config, "data")
-    seen = any(trips.case.lateral_m)
-    given = generator.parts or FAMILY_PARTS
-    parts = tuple(part for part in given if seen or part != "roll")
-    prior = replace(generator, parts=parts, distribution=LogNormal.prior(parts))
-    n = trips.n_healthy
-    healthy = zip(trips.speeds[:n], trips.given[:n], trips.directions or [FORWARD] * n, strict=True)
-    groups = [HealthySpectra(i, f"trip {i}", *one) for i, one in enumerate(healthy)]
-    return commission(prior, settings.bound(generator.vehicle), groups)
-
-
-def trained(config, generator, vehicle: Commissioned | None = None) -> tuple[TrainedModel, float]:
-    """Return the calibrated model of a generator's vehicles, and the seconds of its training.
-
-    A commissioned vehicle's model knows what its healthy trips leave unexplained.
-    """
+def trained(config, generator) -> tuple[TrainedModel, float]:
+    """Return the calibrated model of a generator's vehicles, and the seconds of its training."""
     task, settings = build(config, "protocol").task(config.group), build(config, "data")
     problem = Problem(generator, task, settings, seed=config.seed)
     start = time.process_time()
     problem.features(TRAIN)
     model = calibrated(problem, fit(problem, build(config, "model"), None))
-    if vehicle is not None:
-        model = with_unexplained(problem, model, vehicle.residual)
-        if vehicle.laws.velocity is not None:
-            noted = {NOTE: asdict(vehicle.laws.velocity)}
-            model = replace(model, training=model.training | {"commissioned": noted})
-            print(vehicle.laws.velocity, file=sys.stderr)
     return model, time.process_time() - start
 
 
 def read(model: TrainedModel | BogieModel, trips: Trips) -> list[Estimate | None]:
     """Return the estimate of each trip, None where there is none."""
     found: list[Estimate | None] = []
-    for i, one in enumerate(trips.given):
+    for one in trips.given:
         try:
-            if isinstance(one, Path):
-                found.append(model.estimate(one, level=LEVEL))
-            else:
-                found.append(estimate_with_noise(model, one, LEVEL, trips.speeds[i])[0])
+            found.append(model.estimate(one, level=LEVEL))
         except NoEstimateError as reason:
             print(reason, file=sys.stderr)
             found.append(None)
@@ -239,7 +156,7 @@ def measured(trips: Trips, estimates: Sequence[Estimate | None]) -> list[Row]:
 def case_rows(options, name: str, folder: Path) -> list[Row]:
     """Return the rows of one case."""
     case, trips = CASES[name], made(options, CASES[name], folder)
-    head = {"case": name, "trips": "time" if options.time else "spectra", "seed": options.seed}
+    head = {"case": name, "seed": options.seed}
     rows = []
 
     def add(reading, model, seconds, more):
@@ -254,14 +171,9 @@ def case_rows(options, name: str, folder: Path) -> list[Row]:
     if COMMISSIONED in options.readings:
         config = configuration(options, case)
         start = time.process_time()
-        if options.time:
-            model = commissioned_bogie(config, trips, folder)
-            more = {"misfit": model.bogie.misfit, "commission_s": time.process_time() - start}
-            add(COMMISSIONED, model, 0.0, more)
-            return rows
-        vehicle = commissioned(config, trips)
-        more = {"misfit": vehicle.misfit, "commission_s": time.process_time() - start}
-        add(COMMISSIONED, *trained(config, vehicle.generator, vehicle), more)
+        model = commissioned(config, trips, folder)
+        more = {"misfit": model.bogie.misfit, "commission_s": time.process_time() - start}
+        add(COMMISSIONED, model, 0.0, more)
     return rows
 
 
@@ -282,9 +194,8 @@ def merged(old: Sequence[Row], new: Sequence[Row]) -> list[Row]:
     kept = [r for r in old if tuple(str(r[key]) for key in KEYS) not in runs]
     order = list(CASES)
 
-    def place(row: Row) -> tuple[int, str, str, int]:
-        reading = READINGS.index(row["reading"])
-        return order.index(row["case"]), row["trips"], reading, int(row["seed"])
+    def place(row: Row) -> tuple[int, int, int]:
+        return order.index(row["case"]), READINGS.index(row["reading"]), int(row["seed"])
 
     return sorted([*kept, *new], key=place)
 
@@ -311,13 +222,13 @@ def table(rows: Sequence[Row]) -> str:
     """Return one line for each case, reading and seed."""
     lines: dict[tuple[str, ...], list[str]] = {}
     for row in rows:
-        key = tuple(row[name] for name in ("case", "trips", "reading", "seed"))
+        key = tuple(row[name] for name in KEYS)
         counts = [f"{row['n_read']} of {row['n_trips']}", str(row["n_flagged"])]
         counts += [short(row.get(name)) for name in ("misfit", "train_s")]
         line = lines.setdefault(key, [*key, *counts])
         line.append(" / ".join(short(row.get(name)) for name in IN_TABLE))
     outputs = list(dict.fromkeys(row["output"] for row in rows))
-    headers = ["train has", "trips", "reading", "seed", "read", "flagged", "misfit"]
+    headers = ["train has", "reading", "seed", "read", "flagged", "misfit"]
     headers += ["training, s", *outputs]
     return tabulate(list(lines.values()), headers, tablefmt="pipe", disable_numparse=True)
 
@@ -354,8 +265,7 @@ def run_all(options, folder: Path) -> None:
 
 def main() -> None:
     parser = Parser(description=__doc__.splitlines()[0])
-    parser.add_argument("--time", action="store_true", help="step trips in time, read from files")
-    parser.add_argument("--cases", nargs="+", choices=CASES, help="default: all that can be")
+    parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
     parser.add_argument("--readings", nargs="+", choices=READINGS, default=list(READINGS))
     parser.add_argument("--trips", type=at_least(1), default=30, help="worn vehicles, a trip each")
     parser.add_argument("--healthy", type=at_least(3), default=5, help="trips to commission on")
@@ -364,13 +274,6 @@ def main() -> None:
     parser.add_argument("--train", nargs="+", default=[], help="more settings, as for train.py")
     parser.add_argument("--output", type=Path, default=RESULTS, help="folder of the tables")
     options = parser.parse_args()
-    lacking = "in_spectra_only" if options.time else "in_time_only"
-    if options.cases is None:
-        options.cases = [name for name, case in CASES.items() if not getattr(case, lacking)]
-    wrong = [name for name in options.cases if getattr(CASES[name], lacking)]
-    if wrong:
-        give = "leave out --time" if options.time else "give --time"
-        parser.error(f"{give} for {', '.join(wrong)}")
     torch.set_num_threads(1)
     try:
         options.output.mkdir(parents=True, exist_ok=True)

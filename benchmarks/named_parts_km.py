@@ -13,13 +13,13 @@ from collections import Counter
 
 import numpy as np
 from cells import Parser, at_least, write_rows
-from mixed_fleet import KM_PER_TRIP
 from named_parts import COMPONENTS, RESULTS, Z90, by_trip
 
 from suspnet.ground.parameters import DEFAULT_LIMITS
 from suspnet.trains.maintenance.alarms import watch
 from suspnet.trains.maintenance.series import make_series
 
+KM_PER_TRIP = 2000.0
 KM_PER_HISTORY = 1_000_000.0
 LEAST_TRIPS = 30
 

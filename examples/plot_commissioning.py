@@ -5,11 +5,10 @@ Commissioning a vehicle that differs from its drawing
 No vehicle is exactly its drawing: springs are stiffer, bushings softer, wheelbases a little off. A
 model trained on the drawing takes such differences for wear. Commissioning finds from a few
 healthy trips what the vehicle is. This example simulates a vehicle whose numbers are scattered
-about its drawing, commissions it on three healthy trips, and reads a worn trip both ways.
+about its drawing, commissions it on three healthy trips, and reads a worn trip with it.
 """
 
 import json
-import textwrap
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -17,18 +16,16 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from suspnet import (
-    MSVR,
     EstimateSettings,
-    NoEstimateError,
-    Problem,
     TripSettings,
     VerticalVehicle,
-    commission,
-    load_model,
+    bogie_trip,
+    commission_bogie,
+    fit_parts,
+    load_recording,
     read_healthy,
-    read_protocol,
+    read_manifest,
     read_vehicles,
-    train,
 )
 from suspnet.trains.simulation import Fleet, Scenario, Simulation, write_fleet
 
@@ -64,26 +61,21 @@ trips = Path(folder.name) / "trips"
 # The prior says how far each number may lie from nominal, the posterior what is left of that; both
 # are given by one standard deviation on either side.
 
-settings = EstimateSettings(
-    n_train=1000,
-    n_test=100,
-    n_calibrate=300,
-    minutes=MINUTES,
-    rates_hz=tuple(RATES_HZ.values()),
-).bound(vehicle)
-family = VerticalVehicle(vehicle, speed_m_per_s=70.0, parts=("bushings",), distribution="prior")
-healthy = read_healthy(trips, family, settings, TripSettings(), n_first=N_HEALTHY)
-found = commission(family, settings, healthy.groups, n_starts=2)
-print(f"misfit {found.misfit:.2f} (1: all that is seen is explained)")
+settings = EstimateSettings(minutes=MINUTES, rates_hz=tuple(RATES_HZ.values())).bound(vehicle)
+healthy = read_healthy(trips, drawing, settings, TripSettings(), n_first=N_HEALTHY)
+bogie = commission_bogie(healthy.vehicle, healthy.of_parts)
+print(f"misfit {bogie.misfit:.2f} (1: all that is seen is explained)")
 
 numbers = json.loads((trips / "truth.json").read_text())["numbers"]
 print(f"{'over the drawing':20} truth {'prior':>13} {'posterior':>13}")
 ends = []
-for name in found.posterior.names:
-    row = found.posterior.names.index(name)
+before, after = healthy.vehicle.distribution, bogie.generator.distribution
+names = [name for name in after.names if name in numbers and name in before.names]
+medians = [after.median[after.names.index(name)] for name in names]
+for name in names:
     spans = [
-        tuple(belief.quantile(n)[row] for n in (-1.0, 1.0))
-        for belief in (found.prior, found.posterior)
+        tuple(belief.quantile(n)[belief.names.index(name)] for n in (-1.0, 1.0))
+        for belief in (before, after)
     ]
     ends.append(spans)
     prior, posterior = (f"{low:.2f} to {high:.2f}" for low, high in spans)
@@ -93,10 +85,10 @@ figure, axis = plt.subplots(figsize=(5, 4.5), layout="constrained")
 places = np.arange(len(ends))[::-1]
 low, high = np.array([prior for prior, _ in ends]).T
 axis.hlines(places, low, high, lw=9, color="C2", label="prior, ± 1 deviation")
-axis.plot(found.posterior.median, places, "o", ms=11, mfc="none", mew=2, label="posterior")
-true_ratios = [numbers[name]["ratio"] for name in found.posterior.names]
+axis.plot(medians, places, "o", ms=11, mfc="none", mew=2, label="posterior")
+true_ratios = [numbers[name]["ratio"] for name in names]
 axis.plot(true_ratios, places, "kx", ms=7, mew=2, label="truth")
-axis.set_yticks(places, labels=[name.replace("_", " ") for name in found.posterior.names])
+axis.set_yticks(places, labels=[name.replace("_", " ") for name in names])
 axis.set(xscale="log", xlabel="relative to the drawing", ylabel="number of the vehicle")
 axis.set_xticks([0.2, 0.5, 1, 2], labels=["0.2", "0.5", "1", "2"])
 axis.minorticks_off()
@@ -105,35 +97,25 @@ figure.legend(loc="outside upper center", ncols=3, fontsize="small")
 plt.show()
 
 # %%
-# The worn trip, read both ways
-# -----------------------------
-# Two models, alike but for their vehicle: the drawing alone, and what the healthy trips showed.
-# Estimates are relative to what each takes for healthy.
+# The worn trip
+# -------------
+# The commissioned vehicle itself reads the trip: one ratio of all springs or dampers of a kind,
+# relative to what the healthy trips showed.
 
-protocol = read_protocol("trips")
-for name, generator in (("drawing", drawing), ("commissioned", found.generator)):
-    problem = Problem(generator, protocol.task("all"), settings, seed=0)
-    method = MSVR(C=1e4, sigma=8.0, epsilon=1e-3, feature_map="nystroem", n_components=512)
-    train(problem, method, Path(folder.name) / name, figures=False)
-    model = load_model(Path(folder.name) / name)
-    try:
-        reading = model.estimate(worn_trip)
-    except NoEstimateError as reason:
-        print(f"{name}:", textwrap.fill(f"no estimate: {reason}", 60), "\n")
-
-names = ["k_p", "c_p", "k_s", "c_s"]
-truth = np.array([WORN.get(name, 1.0) for name in names])
+trip = bogie_trip(load_recording(read_manifest(worn_trip)), bogie.generator)
+reading = fit_parts(bogie, trip).as_estimate()
+kinds = list(reading.names[:4])
+truth = np.array([WORN.get(name, 1.0) for name in kinds])
 print("commissioned  truth  estimate")
-for j, name in enumerate(names):
+for j, name in enumerate(kinds):
     print(f"{name:13} {truth[j]:5.2f} {reading.values[0, j]:9.3f}")
-print(f"flags: {reading.flags.reasons[0] or 'none'}")
 figure, axis = plt.subplots(figsize=(5, 4), layout="constrained")
 middle, low, high = (part[0, :4] for part in (reading.values, reading.low, reading.high))
 reach = [middle - low, high - middle]
 axis.errorbar(np.arange(4), middle, reach, fmt="o", capsize=6, label="commissioned")
 axis.plot(np.arange(4), truth, "kx", ms=10, mew=2, label="truth")
 axis.axhline(1.0, color="0.5", lw=0.8)
-axis.set_xticks(np.arange(4), labels=[f"${name}$" for name in names])
+axis.set_xticks(np.arange(4), labels=[f"${name}$" for name in kinds])
 axis.set(xlabel="parameter", ylabel="relative to healthy", title="The worn trip, 90 % intervals")
 axis.grid(alpha=0.3, axis="y")
 axis.legend()
@@ -143,11 +125,8 @@ folder.cleanup()
 # %%
 # What one sees, and what not
 # ---------------------------
-# With the drawing there is no estimate: no stiffness and damping of that vehicle give such
-# responses. Commissioned, spring and damper are found, and what is healthy is called so.
-#
-# The vehicle differs from its drawing in numbers only. Of physics that the family of vehicles does
-# not have, healthy trips show a misfit well above 1, which widens the model's intervals; ``train``
-# takes ``residual=found.residual`` for that. And healthy is what the first trips showed: a part
+# Spring and damper are found, and what is healthy is called so. The vehicle differs from its
+# drawing in numbers only. Of physics that the family of vehicles does not have, healthy trips show
+# a misfit well above 1, which counts as noise. And healthy is what the first trips showed: a part
 # that was worn before them is not found. More is on the page on :doc:`commissioning
 # </commissioning>`.

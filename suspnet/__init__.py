@@ -23,7 +23,6 @@ _NAMES = {
     "estimation.commissioned_bogie": "CommissionedBogie",
     "estimation.commissioned_rig": "CommissionedRig RigEstimate",
     "estimation.rig_files": "load_rig save_rig",
-    "trains.fits.commissioning": "Commissioned commission",
     "estimation.estimate": "Estimate",
     "estimation.fitted": "ModelFileError",
     "trains.identification.healthy_trips": "read_healthy",

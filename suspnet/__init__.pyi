@@ -52,8 +52,6 @@ from suspnet.runs.train import train as train
 from suspnet.trains.fits.bogie_fit import PartsEstimate as PartsEstimate
 from suspnet.trains.fits.bogie_fit import commission_bogie as commission_bogie
 from suspnet.trains.fits.bogie_fit import fit_parts as fit_parts
-from suspnet.trains.fits.commissioning import Commissioned as Commissioned
-from suspnet.trains.fits.commissioning import commission as commission
 from suspnet.trains.fits.worn_parts import WornPart as WornPart
 from suspnet.trains.fits.worn_parts import expected_losses as expected_losses
 from suspnet.trains.fits.worn_parts import least_losses as least_losses

@@ -16,7 +16,7 @@ from suspnet.curves.curves import Directions
 from suspnet.curves.estimates import Misfit, Observer
 from suspnet.curves.protocols import RESPONSES, Task, columns_of
 from suspnet.ground.tensors import as_tensor, threads
-from suspnet.ground.types import ComplexArray, FloatArray
+from suspnet.ground.types import FloatArray
 from suspnet.learning.least_squares import ONE_SIDED_DIFFERENCE
 from suspnet.vehicle import PARAMETERS
 
@@ -54,31 +54,6 @@ def fisher_information(
         jacobian = _joint_derivative(misfit, rows, parameters, observer.directions)
         blocks.append((jacobian @ jacobian.mT).cpu().numpy())
     return without_uncertain(np.concatenate(blocks), len(parameters))
-
-
-@threads(1)
-def shifts(
-    observer: Observer, ratios: FloatArray, parameters: Sequence[str], logs: ComplexArray
-) -> FloatArray:
-    """Return how a systematic error of both responses moves a fit, (n_vehicles, n_parameters), [-].
-
-    With r the error `logs` (2, n_freq) of the curves' logarithms in units of the noise, and J the
-    derivative to parameters and uncertain numbers z, whose prior has the information P (0 for a
-    parameter, 1 for a coordinate of z), the change is (J^T J + P)^-1 J^T r, to first order. It is
-    that of the parameters' logarithms.
-    """
-    rows = as_tensor(ratios)
-    curves, directions = observer.noise_free(rows), observer.directions
-    misfit = observer.misfit(curves, rows)
-    jacobian = _joint_derivative(misfit, rows, parameters, directions)
-    # the misfit is that of the vehicle to the curves: a parameter that raises a curve lowers it
-    moved = observer.misfit(curves * torch.as_tensor(logs).exp().to(curves), rows)
-    error = moved(rows, torch.arange(len(rows)))
-    prior = torch.cat([torch.zeros(len(parameters)), torch.ones(directions.n)]).to(jacobian)
-    information = jacobian @ jacobian.mT + prior.diag()
-    change = -torch.linalg.solve(information, jacobian @ error[:, :, None])[:, :, 0]
-    absolute = change[:, : len(parameters)].cpu().numpy()
-    return np.asarray(absolute / np.asarray(ratios)[:, columns_of(parameters)])
 
 
 def without_uncertain(information: FloatArray, n_parameters: int) -> FloatArray:

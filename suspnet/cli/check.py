@@ -9,8 +9,6 @@ from pathlib import Path
 from suspnet.cli.config_files import own_vehicles
 from suspnet.cli.kinds import named_runs, read_rigs, vehicles_with
 from suspnet.cli.typed_words import listed
-from suspnet.curves.estimates import WIDE_SPEED_HALF_WIDTH
-from suspnet.curves.speeds import SpeedRange, covering, setting_words
 from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.trip_settings import LEAST_TRIPS, N_HEALTHY
 from suspnet.ground import ledger, progress
@@ -125,8 +123,6 @@ def next_steps(
         evaluation = command("evaluate", f"trips={folder}", f"run={listed(arguments.run)}")
         return [f"{when}: {evaluation}"]
     n_healthy = min(N_HEALTHY, *n_ready)
-    # later trips may have too little for parts, as with a sensor that comes loose
-    shows_parts = all(sum(check.shows_parts for check in r) >= n_healthy for r in ready_of)
     at_centre = all(check.frame_sensor == "centre" for r in ready_of for check in r[:n_healthy])
     train = [
         *(["--config-dir", arguments.config_dir] if arguments.config_dir else []),
@@ -134,8 +130,6 @@ def next_steps(
         *(["generator.frame_sensor=centre"] if at_centre else []),
     ]
     of_rig = all(check.is_rig for check in checks)
-    if not shows_parts and not of_rig:  # a bogie is read at any speed
-        train += _speeds_beyond_healthy(ready_of, n_healthy)
     of_each = "trips of each suspension by mileage are taken as healthy; give as many as were run "
     named = "before any wear, {NAME:number} of each"
     if of_rig:
@@ -145,24 +139,6 @@ def next_steps(
         f"{when}: {command('train', *train)}",
         f"  n_healthy={n_healthy}: the first {n_healthy} {of_each}{named}",
     ]
-
-
-def _speeds_beyond_healthy(ready_of: Sequence[Sequence[TripCheck]], n_healthy: int) -> list[str]:
-    """Return the setting of the speeds of all ready trips if healthy ones alone do not read them.
-
-    A model reads no speed beyond those that it was trained for.
-    """
-
-    def speeds(checks: Sequence[TripCheck]) -> list[float]:
-        return [part.speed_m_per_s for check in checks for part in check.parts]
-
-    for ready in ready_of:
-        first = speeds(sorted(ready, key=lambda check: check.mileage_km)[:n_healthy])
-        healthy = SpeedRange.read_by(covering(first, WIDE_SPEED_HALF_WIDTH), WIDE_SPEED_HALF_WIDTH)
-        if not all(map(healthy.holds, speeds(ready))):
-            every = [speed for several in ready_of for speed in speeds(several)]
-            return [setting_words(covering(every, WIDE_SPEED_HALF_WIDTH))]
-    return []
 
 
 def picture_names(paths: Sequence[Path]) -> dict[Path, str]:

@@ -224,7 +224,7 @@ def _commissioned(
     bogie = commission_parts(healthy, trips)
     outcome = commission_trips(healthy, generator, settings, bogie=bogie)
     with speaking(config.language):
-        write_outcome(folder, healthy, outcome, bogie)
+        write_outcome(folder, healthy, outcome)
     usual = replace(outcome.generator, speed_m_per_s=median(healthy.speeds_m_per_s))
     return BogieModel(bogie, usual, settings, {"commissioned": training_notes(healthy, outcome)})
 

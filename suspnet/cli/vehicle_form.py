@@ -40,9 +40,6 @@ FORM = {
     "half_pivot_distance_m": (FILL_IN, f"Drawing: half the distance of the pivots, {LENGTH}"),
     "bogie_gyration_m": (FILL_IN, f"{GYRATION}, 0.59 of half_wheelbase_m as of the AM96"),
     "body_gyration_m": (FILL_IN, f"{GYRATION}, 0.82 of half_pivot_distance_m as of the AM96"),
-    "primary_friction_share": ("0.1", "Kind of springs: 0 for coil springs and hydraulic dampers"),
-    "primary_blow_off_m_per_s": ("0.1", "Data sheet of the damper; null if linear"),
-    "secondary_blow_off_m_per_s": ("0.1", "Data sheet of the damper; null if linear or a choke"),
     "source": ('""', "The drawing's number"),
 }
 """Value in the file, and where each number is found and how exact it must be."""

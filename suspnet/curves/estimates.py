@@ -19,11 +19,9 @@ from suspnet.ground.settings import setting
 from suspnet.vehicle import QuarterCar, ResponseGenerator, Vehicle
 from suspnet.vehicle.track import track_spectrum
 
-SPEED_HALF_WIDTH, WIDE_SPEED_HALF_WIDTH = 0.08, 0.3
-"""Relative half width of the speed range of one model, and of that of a commissioned vehicle.
-
-At 0.1 from the training speed errors of corrected estimates are up to twice as large. The fit of
-the curve reads a commissioned vehicle's trip at the trip's own speed (docs/trips.md)."""
+SPEED_HALF_WIDTH = 0.08
+"""Relative half width of the speed range of one model: at 0.1 from the training speed errors of
+corrected estimates are up to twice as large."""
 LOWEST_MODE, HIGHEST_MODE, HIGHEST_OF_BODY = 0.45, 3.8, 2.4
 """Default band ends as multiples of natural frequencies: start of the band (first mode), end of the
 band and end of G_s (second mode). Between the last two the primary damper separates from its
@@ -52,7 +50,7 @@ class EstimateSettings(Counts):
     speed_half_width: float | None = setting(
         None,
         "Half width of the range of speeds that one model reads, relative to its middle; null is "
-        f"{SPEED_HALF_WIDTH:g}, and {WIDE_SPEED_HALF_WIDTH:g} of a commissioned vehicle",
+        f"{SPEED_HALF_WIDTH:g}",
         low=0,
         below=0.5,
     )

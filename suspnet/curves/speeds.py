@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from suspnet.curves.welch import NEGLIGIBLE
 from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import FORWARD, REVERSE, Direction
 
-MARGIN = 0.02
-"""Relative margin added to the speeds of the trips a model is made for; later trips vary by as
-much."""
 ROUNDING = 1e-9
 """Relative rounding error of a range's ends, which are computed from middle and half width."""
 
@@ -55,13 +52,6 @@ class SpeedRange:
     def around(cls, trained_m_per_s: float, half_width: float) -> SpeedRange:
         """Return the speeds within 1 +- `half_width` of that of the training curves."""
         return cls(trained_m_per_s * (1 - half_width), trained_m_per_s * (1 + half_width))
-
-    @classmethod
-    def read_by(cls, setting: float | Sequence[float], half_width: float) -> SpeedRange:
-        """Return the speeds that the models trained with a setting `speed_m_per_s` read."""
-        if isinstance(setting, float | int):
-            return cls.around(setting, half_width)
-        return cls(min(setting), max(setting))
 
     @property
     def trained_m_per_s(self) -> float:
@@ -112,31 +102,3 @@ def range_words(ranges: Iterable[SpeedRange]) -> str:
         Finding("range", low=speeds.low_m_per_s, high=speeds.high_m_per_s) for speeds in joined
     )
     return Finding("metres-per-second", words=together(words, " and "))
-
-
-def covering(speeds: Sequence[float], half_width: float) -> float | list[float]:
-    """Return the setting `speed_m_per_s` whose models read all speeds, with a ``MARGIN``.
-
-    One speed to a tenth where one model is enough, otherwise lowest and highest as whole numbers.
-    `half_width` is that of the range of one model.
-
-    >>> covering([69.8, 70.2], 0.08), covering([61.5, 77.2], 0.08)
-    (70.0, [60.0, 79.0])
-    """
-    low, high = min(speeds) / (1 + MARGIN), max(speeds) * (1 + MARGIN)
-    middle = round((low + high) / 2, 1)
-    reads = SpeedRange.around(middle, half_width)
-    if reads.holds(low) and reads.holds(high):
-        return middle
-    return [float(math.floor(low)) or low, float(math.ceil(high))]
-
-
-def setting_words(setting: float | Sequence[float]) -> str:
-    """Return a setting of speeds as on the command line.
-
-    >>> setting_words(70.0), setting_words([60.0, 79.0])
-    ('speed_m_per_s=70', 'speed_m_per_s=[60,79]')
-    """
-    if isinstance(setting, float | int):
-        return f"speed_m_per_s={setting:g}"
-    return f"speed_m_per_s=[{','.join(f'{speed:g}' for speed in setting)}]"

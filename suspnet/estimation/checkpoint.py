@@ -20,7 +20,7 @@ from suspnet.curves.protocols import Task
 from suspnet.estimation.bogie_model import BOGIE, BogieModel
 from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScatter
 from suspnet.estimation.fitted import Model, ModelFileError
-from suspnet.estimation.flags import OODDetector, Unexplained
+from suspnet.estimation.flags import OODDetector
 from suspnet.estimation.intervals import Intervals
 from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.estimation.trained import TrainedModel
@@ -41,13 +41,12 @@ from suspnet.ground.types import FloatArray
 from suspnet.learning import METHODS, Scaling
 from suspnet.vehicle import GENERATORS, SpatialVehicle, Vehicle
 
-SCHEMA_VERSION = 11
+SCHEMA_VERSION = 12
 FEATURES = "features."
 """Name prefix of the feature set's arrays."""
 CALIBRATED: dict[str, tuple[str, Any]] = {
     "intervals.": ("intervals", Intervals),
     "ood.": ("ood", OODDetector),
-    "physics.": ("unexplained", Unexplained),
 }
 """Calibrated parts of a model by the name prefix of their arrays: attribute and class."""
 NOT_OF_THE_MODEL = ("arrays_sha256", "suspnet_version", "units")
@@ -278,6 +277,11 @@ def check_description(path: Path, content: Any, schema_version: int) -> None:
     """Raise ModelFileError unless a description has that version and the hash, which is removed."""
     if not isinstance(content, dict) or "schema_version" not in content:
         raise ModelFileError(f"{path} is not a suspnet model: it has no schema_version")
+    if content.get("model") != BOGIE and "commissioned" in content.get("training", {}):
+        raise ModelFileError(
+            f"{path} is a regression for the vehicle that healthy trips showed, which suspnet no "
+            "longer reads: commission again"
+        )
     if content["schema_version"] != schema_version:
         raise ModelFileError(
             f"{path} has schema version {content['schema_version']}, this suspnet reads "

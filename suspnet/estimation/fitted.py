@@ -11,7 +11,7 @@ from torch import Tensor
 from suspnet.curves.estimates import Observation, Observer
 from suspnet.curves.protocols import Task
 from suspnet.estimation.estimate import Flags, HealthyValues
-from suspnet.estimation.flags import OODDetector, Unexplained
+from suspnet.estimation.flags import OODDetector
 from suspnet.estimation.intervals import Intervals
 from suspnet.estimation.refine import Refined
 from suspnet.estimation.temperature import DampingByTemperature
@@ -63,7 +63,7 @@ class Model:
     @property
     def law(self) -> DampingByTemperature | None:
         """How damping depends on the temperature; None if unknown."""
-        return DampingByTemperature.noted(self.training)
+        return None
 
 
 @dataclass(frozen=True)
@@ -93,8 +93,6 @@ class FittedMethod(Model):
     intervals : Intervals or None
     ood : OODDetector or None
         Both are None if the model was not calibrated.
-    unexplained : Unexplained or None
-        Unexplained residual of a commissioned vehicle's healthy trips; None for a nominal vehicle.
     training : dict
         Record of the training.
     """
@@ -111,7 +109,6 @@ class FittedMethod(Model):
     refined: bool = False
     intervals: Intervals | None = None
     ood: OODDetector | None = None
-    unexplained: Unexplained | None = None
     training: dict[str, Any] = field(default_factory=dict)
 
     @cached_property

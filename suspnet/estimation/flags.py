@@ -1,22 +1,9 @@
-"""Reasons not to trust an estimate: input out of distribution (OOD), and physics a model lacks.
+"""Reasons not to trust an estimate: input out of distribution (OOD), a doubtful healthy vehicle.
 
 There are five kinds of flags. `OODDetector` sets four: a peak is missing; the features lie outside
 the cloud of the training curves; a parameter lies outside the training range; the generator does
-not explain the curve with any parameters. `Unexplained` sets that of physics if the generator did
-not explain the healthy trips of its commissioning, `with_doubt` on every trip read with a vehicle,
-or a bogie, whose commissioning did not converge.
-
-Unexplained residual: with d_gf the logarithm of the response of group g of the healthy trips in bin
-f over that of the commissioned vehicle, and s_gf the standard deviation of its real and imaginary
-part::
-
-    d_f = sum_g d_gf / s_gf^2 / sum_g 1 / s_gf^2,     v_f = 1 / sum_g 1 / s_gf^2
-    e = max(0, 1 - 1 / mean_f |d_f|^2 / (2 v_f))
-
-e is the fraction of |d|^2 that is not due to noise, for each of both responses, and sqrt(e) d the
-systematic error of the model's curves, with either sign. The cost of an output is ``WORN`` times
-the rms change of its logarithm when curves like the training curves are multiplied by
-exp(+-sqrt(e) d). It counts as one more standard deviation of the estimate.
+not explain the curve with any parameters. `with_doubt` sets that of physics on every trip that is
+read with a bogie whose commissioning did not converge.
 """
 
 import math
@@ -33,110 +20,8 @@ from suspnet.estimation.estimate import Flags
 from suspnet.estimation.refine import Refined
 from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import BODY_MASS
-from suspnet.ground.types import BoolArray, ComplexArray, FloatArray
+from suspnet.ground.types import BoolArray, FloatArray
 
-INCOMPLETE = 1.09
-"""Misfit of the healthy trips above which the physics is considered incomplete.
-
-Vehicles within the model family stay below it, missing physics exceeds it (docs/methods.md).
-"""
-COSTLY = 0.05
-"""Cost of an output above which the physics is considered incomplete, unless all is noise.
-
-Dampers that blow off hardly raise the misfit, but cost more than this (docs/methods.md).
-"""
-ALL_NOISE = 1.0
-"""Misfit up to which the residual is noise alone, whatever the cost.
-
-Short trips with sensors on one side are so noisy that their mean residual, to which noise
-contributes, can cost more than ``COSTLY``; the intervals include it.
-"""
-UNTRUSTED = 5.0
-"""Misfit of the healthy trips above which intervals do not hold in spite of the residual's cost:
-every estimate is flagged."""
-WORN = 2.0
-"""Model error on worn vehicles over that on healthy ones, which the fit minimises. With 1 the
-intervals of worn vehicles with incomplete physics would be too narrow (docs/methods.md)."""
-
-
-@dataclass(frozen=True)
-class Residual:
-    """Mean unexplained difference of healthy trips from the vehicle commissioned on them.
-
-    `misfit` is the rms of the residual over that of the noise, 1 if the vehicle explains all;
-    `logs` (2, n_freq) is sqrt(e) d of G_p and G_s.
-    """
-
-    misfit: float
-    logs: ComplexArray
-
-    @classmethod
-    def of(
-        cls, misfit: float, observed: ComplexArray, fitted: ComplexArray, deviations: FloatArray
-    ) -> Self:
-        """Return the residual of some groups of healthy trips.
-
-        `observed`, `fitted`: (n_groups, 2, n_freq); `deviations`, of the same shape, are those of
-        the observed log-magnitudes, infinite where a bin is not used.
-        """
-        weights = 1 / deviations**2
-        total = weights.sum(axis=0)
-        used = total > 0
-        sums = (weights * np.log(observed / fitted)).sum(axis=0)
-        mean = np.divide(sums, total, out=np.zeros_like(sums), where=used)
-        over_noise = (np.abs(mean) ** 2 * total / 2).sum(axis=1) / np.maximum(used.sum(axis=1), 1)
-        share = 1 - 1 / np.maximum(over_noise, 1)
-        return cls(misfit, np.sqrt(share)[:, None] * mean)
-
-
-@dataclass(frozen=True)
-class Unexplained:
-    """Misfit of a model's healthy trips (see ``Residual``) and the cost of their residual.
-
-    `costs` (n_outputs,) are standard deviations to add to the logarithm of each output.
-    """
-
-    misfit: float
-    costs: FloatArray
-
-    @property
-    def is_incomplete(self) -> bool:
-        """Whether the misfit or its cost shows that the model lacks physics."""
-        costly = self.misfit > ALL_NOISE and bool((self.costs > COSTLY).any())
-        return costly or self.misfit > INCOMPLETE
-
-    @property
-    def words(self) -> str:
-        """The reason as a sentence; empty if the physics is complete."""
-        if not self.is_incomplete:
-            return ""
-        cost_percent = float(f"{100 * self.costs.max():.2g}")
-        return Finding("vehicle-incomplete", misfit=self.misfit, cost_percent=cost_percent)
-
-    def flagged(self, flags: Flags) -> Flags:
-        """Return the flags with that of incomplete physics set if intervals do not hold."""
-        return flags.with_kind("physics", self.words) if self.misfit > UNTRUSTED else flags
-
-    def state(self) -> dict[str, FloatArray]:
-        """Return the arrays of misfit and costs, for storage."""
-        return {"misfit": np.array([self.misfit]), "costs": self.costs}
-
-    @classmethod
-    def restored(cls, arrays: Mapping[str, FloatArray]) -> Self:
-        """Return misfit and costs from their `state`; KeyError or ValueError if it is invalid."""
-        misfit, costs = arrays["misfit"], arrays["costs"]
-        if misfit.shape != (1,) or not misfit[0] >= 0:
-            raise ValueError("`misfit` must be one number >= 0")
-        if costs.ndim != 1 or not (np.isfinite(costs) & (costs >= 0)).all():
-            raise ValueError("`costs` must be a list of numbers >= 0")
-        return cls(float(misfit[0]), costs)
-
-
-NOT_CONVERGED = (
-    "the search for the healthy vehicle did not converge when it was commissioned, so the interval "
-    "is too narrow: commission again, on more or longer trips"
-)
-"""Flag of every trip that is read with such a vehicle."""
 BOGIE_NOT_CONVERGED = (
     "the search for the healthy bogie did not end within its steps when it was commissioned, so "
     "that a wrong part may be named and intervals are too narrow: commission again with more "
@@ -146,7 +31,7 @@ BOGIE_NOT_CONVERGED = (
 """Flag of every trip of which each part is compared with such a bogie."""
 
 
-def with_doubt(flags: Flags, *, has_converged: bool, words: str = NOT_CONVERGED) -> Flags:
+def with_doubt(flags: Flags, *, has_converged: bool, words: str) -> Flags:
     """Return the flags of a trip, with the doubt about the healthy vehicle it is compared with."""
     return flags if has_converged else flags.with_kind("physics", words)
 

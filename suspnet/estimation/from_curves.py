@@ -56,22 +56,11 @@ def estimate_curves(
     low = high = np.full_like(values, np.nan)
     if method.intervals is not None:
         scales = residual_scales(method, inputs, values, refined)
-        low, high = method.intervals.ends(values, _widened(method, values, scales), level)
+        low, high = method.intervals.ends(values, scales, level)
     flags = Flags.none(len(values))
     if method.ood is not None and refined is not None:
         flags = method.flags(inputs, reasons, refined)
-    if method.unexplained is not None:
-        flags = method.unexplained.flagged(flags)
     return Estimate(task.outputs, values, low, high, level, flags, method.healthy)
-
-
-def _widened(method: FittedMethod, values: FloatArray, scales: FloatArray) -> FloatArray:
-    """Return residual scales with the cost of the unexplained residual added in quadrature."""
-    if method.unexplained is None or method.intervals is None:
-        return scales
-    usual = method.intervals.conformal.factors(ONE_SIGMA)
-    costs = method.unexplained.costs / usual
-    return np.hypot(scales, costs if method.intervals.log else costs * values)
 
 
 def regress(

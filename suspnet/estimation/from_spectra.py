@@ -4,17 +4,15 @@ Intervals are calibrated on curves with the averages and the noise that a model 
 while a trip has its own. The noise part of the residual scale in training is therefore replaced by
 that of the trip::
 
-    s^2 = w^2 (l^2 + b^2 + f^2) + n^2,    l^2 = max(s_0^2 - n_0^2, 0)
+    s^2 = l^2 + n^2,    l^2 = max(s_0^2 - n_0^2, 0)
     half width = s q(level) / q(ONE_SIGMA)
 
 with s_0 the standard deviation from the calibration and q its quantiles, n_0 the noise part
 expected of such a vehicle in training, n that of the trip. l^2 is the variance due to the
-regression's own error and the generator's uncertain quantities. For commissioned vehicles, b is the
-cost of what their healthy trips left unexplained (`suspnet.estimation.flags`), f that of stiffness
-which does not wear (`unworn_deviations`), and w is ``COMMON``; for others w = 1 and b = f = 0. For
-refined estimates n is the Gauss-Newton deviation with all uncertain numbers known, and the rest of
-that deviation adds to l^2; for others n is the spread of estimates from drawn spectra. n is
-multiplied by the misfit of the trip if that is above 1.
+regression's own error and the generator's uncertain quantities. For refined estimates n is the
+Gauss-Newton deviation with all uncertain numbers known, and the rest of that deviation adds to
+l^2; for others n is the spread of estimates from drawn spectra. n is multiplied by the misfit of
+the trip if that is above 1.
 
 The refined estimate replaces the regression's where the regression was not trained, and for every
 vehicle with uncertain numbers: the regression takes them at their median, the fit of the curve
@@ -22,7 +20,6 @@ fits them along. s_0 is then the Gauss-Newton deviation, and q the normal distri
 model was calibrated for refined estimates.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -37,11 +34,9 @@ from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.speeds import NoEstimateError, Speeds
 from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.fitted import FittedMethod, Model, ModelFileError
-from suspnet.estimation.flags import with_doubt
 from suspnet.estimation.from_curves import ONE_SIGMA, corrected, residual_scales
-from suspnet.estimation.intervals import COMMON, LARGEST_MISFIT
+from suspnet.estimation.intervals import LARGEST_MISFIT
 from suspnet.estimation.refine import Refined, complete_ratios, refine
-from suspnet.estimation.relative_velocity import DampingByVelocity, relative_velocities
 from suspnet.ground.findings import Finding
 from suspnet.ground.types import FloatArray
 from suspnet.vehicle.quantities import FAILED_DEVIATION, FAILED_OTHER, OF_THE_TRIP
@@ -59,15 +54,11 @@ same random numbers, so their errors cancel: with a quarter of the averages half
 CORRECTIONS = 3
 """Number of steps that correct a trip's estimate; a fourth changes nothing where the speed is
 within a tenth of the training speed (measured)."""
-UNWORN = {"k_p": 0.06}
-"""Fraction of the healthy stiffness that does not wear, over the share of the primary damping that
-is dry friction: it acts as a spring where it sticks. What it is as a damper, where it slips, is in
-`suspnet.estimation.relative_velocity`."""
 OF_THE_TRAINING = ("cloud", "range")
 """Kinds of flags that concern the regression alone, not an estimate from the curve itself."""
 FAILED_FROM, FAILED_GAIN = 1.3, 1.1
-"""Misfit of a trip, over that of the healthy trips if it is larger than 1, from which failures of
-the other bogie are tried, and how much smaller a failure has to make it."""
+"""Misfit of a trip from which failures of the other bogie are tried, and how much smaller a failure
+has to make it."""
 INCOHERENT = (
     "at no frequency do axle box, frame and body move together: look at the sensors and their "
     "cables"
@@ -118,7 +109,7 @@ def estimate_with_noise(
     by_curve = method.refined or outside or observer.directions.n > 0
     if by_curve:
         flags = flags.without(*OF_THE_TRAINING)
-    if seen.misfit[0] <= largest_misfit(method):
+    if seen.misfit[0] <= LARGEST_MISFIT:
         flags = flags.without("misfit")
     factor, usual = (method.intervals.conformal.factors(p) for p in (level, ONE_SIGMA))
     if by_curve and not method.refined:
@@ -140,39 +131,11 @@ def estimate_with_noise(
         mean = CrossSpectra(expected.auto[0], expected.cross[0], expected.n_averages)
         noise_0, noise = (_noise(method, observer, source) for source in (mean, spectra))
         lasting = _lasting(usual * _residual_scale(method, inputs, predicted), noise_0)
-    if method.unexplained is not None:
-        unworn = unworn_deviations(outputs, values, method.vehicle.primary_friction_share)
-        costs = method.unexplained.costs**2 + unworn**2
-        lasting = COMMON**2 * (lasting + costs)
     noise = noise * max(1.0, float(refined.misfit[0]))
     spread = np.sqrt(lasting + noise**2)
     estimate = _estimate(method, values, factor / usual * spread, level, flags)
     estimate = replace(estimate, found=failure, misfit=float(refined.misfit[0]))
-    law = DampingByVelocity.noted(method.training)
-    if law is not None:
-        velocities = relative_velocities(spectra, observer.frequencies_hz)
-        estimate = law.compared(estimate, velocities.tolist())
     return estimate, 1 - np.divide(lasting, spread**2, out=np.zeros_like(lasting), where=spread > 0)
-
-
-def largest_misfit(method: FittedMethod) -> float:
-    """Return the misfit of a trip above which its curve is not explained: ``LARGEST_MISFIT``."""
-    healthy = 1.0 if method.unexplained is None else method.unexplained.misfit
-    return LARGEST_MISFIT * max(1.0, healthy)
-
-
-def unworn_deviations(
-    outputs: Sequence[str], ratios: FloatArray, friction_share: float
-) -> FloatArray:
-    """Return the error of log outputs due to stiffness that does not wear, (n_outputs,).
-
-    A spring at the ratio r in parallel with a fraction u of the healthy one that does not wear is
-    estimated as (1 - u) r + u, a relative error of u (1 - r) / r. The result is
-    log(1 + u |1 - r| / r) with u from ``UNWORN`` and the vehicle's share of friction, 0 for other
-    outputs; `ratios` (n_outputs,) are the estimates r.
-    """
-    shares = friction_share * np.array([UNWORN.get(name, 0.0) for name in outputs])
-    return np.asarray(np.log1p(shares * np.abs(1 - ratios) / ratios))
 
 
 def trip_settings(model: Model) -> EstimateSettings:
@@ -200,13 +163,8 @@ def _estimate(
 ) -> Estimate:
     with np.errstate(over="ignore"):  # infinite half widths give 0 to infinity
         low, high = values * np.exp(-half_widths), values * np.exp(half_widths)
-    flags = flags or Flags.none(1)
-    if method.unexplained is not None:
-        flags = method.unexplained.flagged(flags)
-    commissioned = method.training.get("commissioned", {})
-    flags = with_doubt(flags, has_converged=commissioned.get("converged", True))
     rows = values[None], low[None], high[None]
-    return Estimate(method.task.outputs, *rows, level, flags, method.healthy)
+    return Estimate(method.task.outputs, *rows, level, flags or Flags.none(1), method.healthy)
 
 
 def _lasting(usual: FloatArray, noise_0: FloatArray) -> FloatArray:
@@ -230,8 +188,7 @@ def _refined(
     usual = observer.generator
     if not isinstance(usual, VerticalVehicle) or usual.distribution is None:
         return best, failure
-    healthy = 1.0 if method.unexplained is None else method.unexplained.misfit
-    if float(best.misfit[0]) < FAILED_FROM * max(1.0, healthy):
+    if float(best.misfit[0]) < FAILED_FROM:
         return best, failure
     if not set(OF_THE_TRIP) <= set(usual.distribution.names):
         return best, failure

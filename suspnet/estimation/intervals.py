@@ -32,13 +32,9 @@ SMALLEST_SHARE = 1e-3
 PENALTY = 0.1
 """C of the MSVR; small, as the logarithm of a residual scatters by 1.1 about its mean."""
 N_COMPONENTS = 512
-COMMON = 1.3
-"""Factor on the lasting errors of a commissioned vehicle: the error that healthy trips leave is a
-single draw for all later trips, so without the factor the intervals of a vehicle with a bad draw
-hold in too few trips (docs/methods.md)."""
 LARGEST_MISFIT = 3.0
-"""Misfit of a trip, over that of the healthy trips if it is larger than 1, up to which its curve is
-explained: the misfit then widens the interval, above it the trip has no estimate."""
+"""Misfit of a trip up to which its curve is explained and the misfit widens the interval; above it
+the trip has no estimate."""
 SCALE = "residual_scale."
 """Name prefix of the residual scale's arrays."""
 

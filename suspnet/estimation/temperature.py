@@ -6,21 +6,18 @@ and T_0 the mean of the healthy trips, the damping c of a suspension follows::
     log c(T) = log c(T_0) + b (T - T_0)
 
 b [1/K] is normal, of primary and of secondary damping each; healthy trips of different temperatures
-narrow it (`suspnet.trains.identification.healthy_trips`). Estimates are compared at T_0, and the
+narrow it (`suspnet.trains.fits.bogie_misfit`). Estimates are compared at T_0, and the
 uncertainty of b widens their intervals with abs(T - T_0). Springs change by a tenth of that and are
 left alone.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
-from scipy.stats import norm
 
-from suspnet.estimation.estimate import Estimate
 from suspnet.ground.findings import Finding, together
-from suspnet.ground.parameters import kind_of
 from suspnet.ground.settings import check_number
 
 DAMPINGS = ("c_p", "c_s")
@@ -67,28 +64,6 @@ class DampingByTemperature:
         """Return the law from the record of a model's training; None if it has none."""
         note = training.get("commissioned", {}).get(NOTE)
         return cls(**note) if note else None
-
-    def compared(self, estimate: Estimate, temperature_c: float | None) -> Estimate:
-        """Return a trip's estimate with damping as it would be at the healthy trips' temperature.
-
-        An unknown temperature (None) changes nothing.
-        """
-        if temperature_c is None:
-            return estimate
-        warmer = temperature_c - self.healthy_c
-        values, low, high = (part.copy() for part in (estimate.values, estimate.low, estimate.high))
-        half_widths = norm.ppf((1 + estimate.level) / 2) * abs(warmer) * np.array(self.deviations)
-        own_law = dict(zip(DAMPINGS, zip(self.slopes, half_widths, strict=True), strict=True))
-        for j, name in enumerate(estimate.names):
-            if kind_of(name) not in own_law:
-                continue
-            slope, half = own_law[kind_of(name)]
-            values[:, j] *= np.exp(-slope * warmer)
-            for end, sign in ((low, -1), (high, 1)):
-                with np.errstate(divide="ignore", over="ignore"):  # an interval may reach 0
-                    log_ratio = np.log(end[:, j] / estimate.values[:, j])
-                    end[:, j] = values[:, j] * np.exp(sign * np.hypot(log_ratio, half))
-        return replace(estimate, values=values, low=low, high=high)
 
 
 def kelvins_warmer(temperatures_c: Sequence[float | None]) -> tuple[float | None, list[float]]:

@@ -14,7 +14,6 @@ from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.problem import Problem
 from suspnet.estimation.bogie_model import BogieModel
 from suspnet.estimation.commissioned_bogie import HealthyScatter
-from suspnet.estimation.relative_velocity import DampingByVelocity
 from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import LEAST_TRIPS
@@ -155,8 +154,6 @@ def _check_calibration(model: TrainedModel, n_inputs: int, n_outputs: int) -> No
             math.isfinite(ood.distance_threshold)
         ) * len(ood.reference):
             raise ValueError("the thresholds of the OOD detector must be finite")
-    if model.unexplained is not None:
-        _check_vector("physics.costs", model.unexplained.costs, n_outputs)
 
 
 def _check_bogie(model: BogieModel) -> None:
@@ -216,8 +213,7 @@ def _check_training(training: Any) -> None:
     if not all(isinstance(name, str) for name in healthy.get("trips", [])):
         raise TypeError("`training.commissioned.trips` must be names")
     _check_place(healthy.get("place"))
-    for law in (DampingByTemperature, DampingByVelocity):
-        law.noted(training)  # its numbers are checked
+    DampingByTemperature.noted(training)  # its numbers are checked
 
 
 def _check_place(place: Any) -> None:

@@ -98,9 +98,7 @@ class LevenbergMarquardt:
     next step would lower the cost by at most `least_decrease`. `first_damping` is relative to the
     diagonal of J^T J; a good start needs little. `bounds` are two tensors (n_parameters,); a
     parameter pressed against one counts as having no effect. `one_sided` differences need half the
-    evaluations: the Jacobian is accurate to 1e-5, without second derivatives. `derivative`, if
-    given, returns the Jacobian (n, n_parameters, n_points) of theta and rows instead, which saves
-    the evaluation of residuals that a parameter does not affect.
+    evaluations: the Jacobian is accurate to 1e-5, without second derivatives.
 
     `accelerated` steps follow a bent valley: half the second derivative of the residuals along a
     step d, projected as the step is, -(H + lambda diag H)^-1 J^T r''(d, d) / 2, is added to it
@@ -115,15 +113,13 @@ class LevenbergMarquardt:
     one_sided: bool = False
     least_decrease: float = 0.0
     accelerated: bool = False
-    derivative: Residual | None = None
 
     def minimise(self, residual: Residual, start: Tensor) -> LeastSquaresSolution:
         """Return the fit of each row from `start`, (n_rows, n_parameters)."""
         bounds = self.bounds
         if bounds is None:
             bounds = start.new_full((1,), -math.inf), start.new_full((1,), math.inf)
-        kind = self.one_sided, self.accelerated, self.derivative
-        descent = Descent(residual, start, bounds, *kind)
+        descent = Descent(residual, start, bounds, self.one_sided, self.accelerated)
         damping = _Damping(start.new_full((len(start),), self.first_damping))
         all_rows = rows = torch.arange(len(start), device=start.device)
         status = torch.full_like(rows, RowStatus.MAX_ITER)  # of rows that have not ended
@@ -205,10 +201,8 @@ class Descent:
         bounds: tuple[Tensor, Tensor],
         one_sided: bool,
         accelerated: bool,
-        derivative: Residual | None = None,
     ) -> None:
         self.residual, self.bounds, self.one_sided = residual, bounds, one_sided
-        self.derivative = derivative
         rows = torch.arange(len(start), device=start.device)
         self.theta = start.clamp(*bounds)
         self.values = residual(self.theta, rows)
@@ -226,10 +220,7 @@ class Descent:
         if not len(rows):
             return
         theta, values, (low, high) = self.theta[rows], self.values[rows], self.bounds
-        if self.derivative is None:
-            jacobian, second = derivatives(self.residual, theta, rows, values, self.one_sided)
-        else:
-            jacobian, second = self.derivative(theta, rows), torch.zeros_like(theta)
+        jacobian, second = derivatives(self.residual, theta, rows, values, self.one_sided)
         slope = (jacobian @ values[:, :, None])[:, :, 0]
         # A parameter pressed against a bound cannot move: it is left out of this row's model.
         pressed = ((theta <= low) & (slope > 0)) | ((theta >= high) & (slope < 0))

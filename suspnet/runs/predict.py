@@ -8,10 +8,8 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
-import torch
 from torch import Tensor
 
-from suspnet.bounds.information import shifts
 from suspnet.curves.estimate_observer import EstimateObserver
 from suspnet.curves.problem import (
     BATCH,
@@ -26,9 +24,8 @@ from suspnet.curves.problem import (
 from suspnet.curves.protocols import BODY_MASS_COLUMN
 from suspnet.estimation.estimate import Flags
 from suspnet.estimation.fitted import FittedMethod
-from suspnet.estimation.flags import WORN, OODDetector, Residual, Unexplained
+from suspnet.estimation.flags import OODDetector
 from suspnet.estimation.from_curves import (
-    estimate_curves,
     identified,
     refine_curves,
     regress,
@@ -51,8 +48,6 @@ N_UNCERTAIN_REFINED = 512
 coverage of a 90 % interval has a standard deviation of 1.3 %."""
 N_TRIED = 1024
 """Calibration curves that show whether correcting the estimates lowers their error."""
-N_COST = 64
-"""Curves for the cost of the unexplained residual."""
 Model = TypeVar("Model", bound=FittedMethod)
 Part = TypeVar("Part")
 
@@ -190,42 +185,6 @@ def calibrated(problem: Problem, model: Model) -> Model:
         training = model.scaled(problem.features(TRAIN).complete(model.task.extractor).inputs)
     ood = OODDetector.learnt(training, inputs[is_complete], fitted.misfit)
     return replace(model, intervals=intervals, ood=ood)
-
-
-def with_unexplained(problem: Problem, model: Model, residual: Residual) -> Model:
-    """Return a model with the cost of the residual that its healthy trips leave unexplained.
-
-    See `suspnet.estimation.flags`. ValueError if no curve that is changed by it has an estimate.
-    """
-    task = problem.task
-    if not residual.logs.any():
-        costs = np.zeros(len(task.outputs))
-        return replace(model, unexplained=Unexplained(residual.misfit, costs))
-    if problem.observer.directions.n:
-        # fits of the curve with uncertain numbers read trips whatever the method
-        ratios = task.sample(N_COST, problem.seed, CALIBRATE)
-        changes = shifts(problem.observer, ratios, task.unknown, residual.logs)
-        changes = changes[:, [task.unknown.index(name) for name in task.outputs]]
-        costs = WORN * np.sqrt(np.mean(changes**2, axis=0))
-        return replace(model, unexplained=Unexplained(residual.misfit, costs))
-    ratios = problem.task.sample(N_COST, problem.seed, CALIBRATE)
-    curves = problem.noise_free(ratios)
-    bare = replace(model, intervals=None, ood=None, unexplained=None)
-    factor = torch.as_tensor(residual.logs).exp().to(curves.device)
-    level = 0.9  # unused without intervals
-    logs = [
-        np.log(estimate_curves(bare, problem.observer, shifted, level).values)
-        for shifted in (curves, curves * factor, curves / factor)
-    ]
-    changes = np.stack(logs[1:]) - logs[0]  # (2, n_curves, n_outputs)
-    finite = changes[np.isfinite(changes).all(axis=2)]
-    if not len(finite):
-        raise ValueError(
-            "no curve keeps its features when changed by the unexplained residual of the healthy "
-            "trips: the vehicle file, the sensors' places or the band are wrong"
-        )
-    costs = WORN * np.sqrt(np.mean(finite**2, axis=0))
-    return replace(model, unexplained=Unexplained(residual.misfit, costs))
 
 
 def _is_corrected(problem: Problem, model: FittedMethod, data: FeatureData) -> bool:

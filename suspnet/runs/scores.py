@@ -178,8 +178,8 @@ def _trust(metrics: Metrics) -> str:
         words.append(f"Bounds are those of {metrics['n_bound']} of these curves.")
     if metrics.get("starts_fits"):
         words.append(
-            "These are the estimates of the regression alone: on trips of a commissioned vehicle "
-            "it only starts the fit of the curve, which reads them."
+            "These are the estimates of the regression alone: on trips it only starts the fit of "
+            "the curve, which reads them."
         )
     if "intervals" in metrics:
         words.append(f"all outputs at once: {metrics['intervals']['joint_coverage_percent']:.1f} %")

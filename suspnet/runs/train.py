@@ -25,7 +25,6 @@ from tabulate import tabulate
 from suspnet.curves.problem import TEST, Problem
 from suspnet.curves.speeds import SpeedRange
 from suspnet.estimation.checkpoint import check_restores, check_saveable, write_model
-from suspnet.estimation.flags import Residual
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground import ledger
 from suspnet.ground.parameters import REVERSE
@@ -34,7 +33,7 @@ from suspnet.ground.settings import check_number
 from suspnet.ground.storage import write_json
 from suspnet.learning.search import GridSearch, SearchResult
 from suspnet.runs.fit import check_hyperparameters, fit, method_name, refitted, tune
-from suspnet.runs.predict import Outcome, calibrated, predict_stream, with_unexplained
+from suspnet.runs.predict import Outcome, calibrated, predict_stream
 from suspnet.runs.scores import Metrics, draw_run, headline, log_scores, report, rms_percent, scores
 from suspnet.runs.tensorboard import ERROR_BY_N, RunLog
 
@@ -47,14 +46,10 @@ class RunContext:
     """What the calling program adds to the records and figures of a run.
 
     `config` is the resolved configuration; its `reading_name` and `search_name` go into
-    metrics.json. `notes` are further entries of the
-    model's `training`, such as the healthy trips as "commissioned"; `residual` is the unexplained
-    part of a commissioned vehicle's healthy trips. `swept` are the keys that a multirun varies.
+    metrics.json. `swept` are the keys that a multirun varies.
     """
 
     config: Mapping[str, Any] = field(default_factory=dict)
-    notes: Mapping[str, Any] = field(default_factory=dict)
-    residual: Residual | None = None
     swept: Sequence[str] = ()
 
 
@@ -125,9 +120,10 @@ def train(
         model = replace(fit(problem, estimator, run_log), refined=refine)
         check_restores(model)  # before the calibration, which may take longer than the fit
         model.training.update(search_notes)
-        model = _trusted(problem, model, context)
+        if problem.settings.n_calibrate is not None:
+            stage("calibration of intervals and flags")
+        model = calibrated(problem, model)
         stage("test")
-        model = replace(model, training=model.training | dict(context.notes))
         outcome = predict_stream(problem, model, TEST)
         metrics = _metrics(problem, model, outcome, search_result, context)
         # the accuracy goes into the model's file for those who have no run folder
@@ -142,26 +138,6 @@ def train(
     write_json(folder / "metrics.json", metrics)  # last: it marks the run as finished
     report(metrics, folder)
     return metrics
-
-
-def _trusted(problem: Problem, model: TrainedModel, context: RunContext) -> TrainedModel:
-    """Return a model with intervals, flags and the cost of the unexplained residual."""
-    if problem.settings.n_calibrate is not None:
-        stage("calibration of intervals and flags")
-    model = calibrated(problem, model)
-    if context.residual is None:
-        return model
-    model = with_unexplained(problem, model, context.residual)
-    assert model.unexplained is not None
-    if model.unexplained.is_incomplete:
-        costs = ", ".join(f"{name} {value:.2g} %" for name, value in _cost_percent(model).items())
-        log.warning(
-            "the physics is incomplete: %s. The interval of every estimate is wider by a standard "
-            "deviation of %s",
-            model.unexplained.words,
-            costs,
-        )
-    return model
 
 
 def log_error_by_n(
@@ -194,18 +170,7 @@ def _metrics(
         if context.config.get(name):
             metrics[key] = context.config[name]
     metrics["rms_percent"] = rms_percent(problem.task, outcome)
-    if model.unexplained is not None:
-        metrics["unexplained"] = {
-            "misfit": model.unexplained.misfit,
-            "cost_percent": _cost_percent(model),
-        }
     return metrics
-
-
-def _cost_percent(model: TrainedModel) -> dict[str, float]:
-    assert model.unexplained is not None
-    costs = 100 * model.unexplained.costs
-    return dict(zip(model.task.outputs, costs.tolist(), strict=True))
 
 
 def environment() -> dict[str, Any]:

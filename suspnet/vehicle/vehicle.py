@@ -127,27 +127,6 @@ class Vehicle:
     body_gyration_m: float | None = setting(
         None, "Radius of gyration of the car body in pitch", "m", above=0
     )
-    primary_friction_share: float = setting(
-        0.1,
-        "Largest share of the healthy primary damping that may be dry friction, which does not "
-        "wear with the damper; 0 for hydraulic dampers and steel springs alone",
-        low=0,
-        most=0.5,
-    )
-    primary_blow_off_m_per_s: float | None = setting(
-        0.1,
-        "Lowest relative velocity at which the primary dampers may blow off, beyond which they "
-        "resist less; null for linear dampers",
-        "m/s",
-        above=0,
-    )
-    secondary_blow_off_m_per_s: float | None = setting(
-        0.1,
-        "Lowest relative velocity at which the secondary dampers may blow off; null for linear "
-        "dampers and chokes",
-        "m/s",
-        above=0,
-    )
     limits: Annotated[
         Mapping[str, Any] | None,
         Setting(

@@ -90,10 +90,6 @@ def test_programs_and_bases_show_the_same_defaults():
     check_arguments({"protocol": base, "scenario": first}, of_the_option=())
 
 
-NOT_LINEAR = ("primary_friction_share", "primary_blow_off_m_per_s", "secondary_blow_off_m_per_s")
-"""Settings of vehicles that a file may leave out, as the geometry."""
-
-
 def check_arguments(config, of_the_option=OF_THE_OPTION):
     """Assert that every object of a configuration has the arguments and defaults of its class."""
     for place, settings in objects(config):
@@ -102,7 +98,7 @@ def check_arguments(config, of_the_option=OF_THE_OPTION):
         if target is best_generator:
             target = VerticalVehicle  # which it hands its settings to
         parameters = dict(inspect.signature(target).parameters)
-        optional = (*GEOMETRY, *NOT_LINEAR, "limits") if target is Vehicle else ()
+        optional = (*GEOMETRY, "limits") if target is Vehicle else ()
         assert set(parameters) - set(optional) <= set(node) <= set(parameters), target
         if target.__name__ in of_the_option:
             continue

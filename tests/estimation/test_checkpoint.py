@@ -14,7 +14,7 @@ from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.problem import Problem
 from suspnet.estimation.checkpoint import load_model, save_model
 from suspnet.estimation.fitted import ModelFileError
-from suspnet.estimation.flags import OODDetector, Unexplained
+from suspnet.estimation.flags import OODDetector
 from suspnet.estimation.intervals import Conformal, Intervals, ResidualScale
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.parameters import DEFAULT_LIMITS
@@ -65,7 +65,6 @@ def calibrated(learnt=True):
         refined=True,
         intervals=Intervals(Conformal.of(wrong, sizes), True, residual_scale),
         ood=OODDetector.learnt(known[:, :3], known[:40, :3], 1 + 0.1 * random.random(30)),
-        unexplained=Unexplained(1.7, np.array([0.012, 0.034])),
     )
 
 
@@ -138,8 +137,6 @@ def test_loaded_intervals_and_scope_are_the_same_bit_for_bit(learnt, tmp_path):
     np.testing.assert_array_equal(distances[0], distances[1])
     assert loaded.ood.distance_threshold == model.ood.distance_threshold
     assert loaded.ood.misfit_threshold == model.ood.misfit_threshold
-    assert loaded.unexplained.misfit == model.unexplained.misfit
-    np.testing.assert_array_equal(loaded.unexplained.costs, model.unexplained.costs)
 
 
 def test_limits_travel_with_the_model(tmp_path):
@@ -220,7 +217,11 @@ def test_altered_description_is_rejected(saved):
         ("[]", "not a suspnet model"),
         ('{"a": 1}', "not a suspnet model"),
         ('{"schema_version": 99}', "schema version 99"),
-        ('{"schema_version": 2}', "schema version 2, this suspnet reads 11; train again"),
+        (
+            '{"schema_version": 11, "model": "msvr", "training": {"commissioned": {}}}',
+            "is a regression for the vehicle that healthy trips showed, .*: commission again",
+        ),
+        ('{"schema_version": 2}', "schema version 2, this suspnet reads 12; train again"),
     ],
 )
 def test_foreign_description_is_rejected(saved, content, message):

@@ -15,7 +15,6 @@ from suspnet.curves import cross_spectra
 from suspnet.curves.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
 from suspnet.curves.speeds import NoEstimateError
 from suspnet.estimation import from_spectra as trust
-from suspnet.estimation.flags import Unexplained
 from suspnet.estimation.from_curves import corrected, estimate_curves
 from suspnet.estimation.from_spectra import CORRECTIONS, ONE_SIGMA, estimate_with_noise
 from suspnet.estimation.intervals import Conformal, Intervals
@@ -443,8 +442,7 @@ def test_failed_air_spring_of_the_other_bogie_is_found_and_misleads_nothing(word
     model = model_at()
     prior = LogNormal.independent(dict.fromkeys(OF_THE_TRIP, 0.2))
     uncertain = replace(model.generator, distribution=prior)
-    nothing = Unexplained(1.0, np.zeros(len(OUTPUTS)))
-    model = replace(model, generator=uncertain, unexplained=nothing)
+    model = replace(model, generator=uncertain)
     row = uncertain.complete(ratios_of(WORN))
     for name, ratio in zip(OF_THE_TRIP, FAILED_OTHER.get(words, (0.9, 1.2)), strict=True):
         row[0, len(PARAMETERS) + UNMEASURED.index(name)] = 1.1 * ratio

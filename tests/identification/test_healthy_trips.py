@@ -146,23 +146,10 @@ def test_trips_come_by_mileage_each_with_its_speed(folder):
     assert found.left_out == ()
 
 
-def test_spectra_have_the_temperature_of_their_trip(folder):
-    changed(folder / "first.yaml", folder, "first", temperature_c=-3.5)
-    assert [group.temperature_c for group in read(folder).groups] == [None, None, -3.5]
-
-
 def test_first_trips_by_mileage_are_taken(folder):
     changed(folder / "first.yaml", folder, "latest", mileage_km=9000.0)
     assert len(read(folder).manifests) == 4
     assert [one.name for one in read(folder, n_first=3).manifests] == NAMES[::-1]
-
-
-def test_later_trips_tell_the_directions_that_models_are_needed_for(folder):
-    assert read(folder).directions == ("forward",)
-    changed(folder / "first.yaml", folder, "latest", mileage_km=9000.0, direction="reverse")
-    first = read(folder, n_first=3)
-    assert {group.direction for group in first.groups} == {"forward"}
-    assert first.directions == ("forward", "reverse")
 
 
 def test_stretches_at_several_speeds_are_groups_of_one_trip(folder, manifests):

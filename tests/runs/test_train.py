@@ -4,16 +4,13 @@ import itertools
 import math
 from pathlib import Path
 
-import numpy as np
 import pytest
-import torch
 from hydra import compose, initialize_config_dir
 
 from suspnet.cli.kinds import build
 from suspnet.curves.problem import Problem
 from suspnet.estimation.checkpoint import load_model
-from suspnet.estimation.flags import Residual
-from suspnet.runs.train import RunContext, train
+from suspnet.runs.train import train
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 MODELS = sorted(file.stem for file in (CONFIGS / "model").glob("*.yaml"))
@@ -26,7 +23,7 @@ PROTOCOLS = {
 SMALL = ["data.n_train=200", "data.n_test=100", "data.n_calibrate=200", "data.step_hz=0.08"]
 
 
-def trained(model, protocol, group, folder, *overrides, residual=None):
+def trained(model, protocol, group, folder, *overrides):
     with initialize_config_dir(version_base="1.3", config_dir=str(CONFIGS)):
         chosen = [f"protocol={protocol}", f"group={group}", f"model={model}", *overrides]
         config = compose("train", overrides=chosen)
@@ -34,10 +31,7 @@ def trained(model, protocol, group, folder, *overrides, residual=None):
     problem = Problem(
         build(config, "generator"), task, build(config, "data"), config.seed, progress=False
     )
-    chosen = residual and residual(len(problem.settings.frequencies_hz()))
-    return train(
-        problem, build(config, "model"), folder, figures=False, context=RunContext(residual=chosen)
-    )
+    return train(problem, build(config, "model"), folder, figures=False)
 
 
 def test_every_protocol_is_tried():
@@ -71,21 +65,6 @@ def test_every_method_is_calibrated_under_every_protocol(model, protocol, group,
     assert model.task.outputs == tuple(outputs)
     assert model.intervals is not None
     assert model.ood is not None
-
-
-def test_incomplete_physics_is_warned_of_and_kept(tmp_path, caplog):
-    def residual(n_bins):
-        return Residual(5.7, np.full((2, n_bins), 0.01, complex))
-
-    metrics = trained("linear", "joint", "all", tmp_path, *SMALL, residual=residual)
-    assert "the physics is incomplete: the commissioned vehicle leaves 5.7 times" in caplog.text
-    told, model = metrics["unexplained"], load_model(tmp_path)
-    assert told["misfit"] == model.unexplained.misfit == 5.7
-    costs = 100 * model.unexplained.costs
-    assert list(told["cost_percent"].values()) == pytest.approx(costs.tolist())
-    assert (costs > 0).all()
-    healthy = model.settings.observer(model.generator).noise_free(torch.ones(1, 5))
-    assert "leaves 5.7 times the noise" in model.estimate(healthy).flags.reasons[0]
 
 
 def test_curve_fit_cannot_be_used_with_trips(tmp_path):

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from suspnet.curves.estimates import SPEED_HALF_WIDTH, EstimateSettings
-from suspnet.curves.speeds import MARGIN, SpeedRange, covering, range_words, reading_range
+from suspnet.curves.speeds import SpeedRange, range_words, reading_range
 from suspnet.runs.train import speed_ranges
 from suspnet.trains.spectra.steady_parts import (
     groups_of,
@@ -84,24 +84,6 @@ def test_models_of_any_speed_read_all_segments_that_are_fast_enough():
     assert int(group.sum()) == len(speeds) - 1
     assert groups_of(model, [model], speeds, [group]) == [group]
     assert speed_range(model) is None
-
-
-@pytest.mark.parametrize(("low", "high"), [(70.0, 70.0), (61.3, 77.4), (20.1, 21.0), (3.2, 80.0)])
-def test_setting_that_is_advised_reads_the_speeds_with_a_margin(low, high):
-    setting = covering([low, high], SPEED_HALF_WIDTH)
-    if isinstance(setting, float):
-        ranges = [SpeedRange.around(setting, SPEED_HALF_WIDTH)]
-        assert setting == round(setting, 1)
-    else:
-        ranges = speed_ranges(setting, SPEED_HALF_WIDTH)
-    for speed in speeds_between(low / (1 + MARGIN), high * (1 + MARGIN)):
-        assert reading_range(speed, ranges) is not None
-
-
-def test_one_model_is_advised_where_it_is_enough():
-    assert covering([70.0], SPEED_HALF_WIDTH) == 70.0
-    assert isinstance(covering([66.0, 73.0], SPEED_HALF_WIDTH), float)
-    assert covering([64.0, 76.0], SPEED_HALF_WIDTH) == [62.0, 78.0]
 
 
 def test_ranges_that_meet_are_named_as_one():

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
-from suspnet.estimation.flags import INCOMPLETE, UNTRUSTED
 from suspnet.ground.findings import Finding, together
-from suspnet.ground.parameters import BOGIE_PARTS, PARAMETERS, REVERSE, kind_of
+from suspnet.ground.parameters import BOGIE_PARTS, PARAMETERS, kind_of
 from suspnet.ground.types import FloatArray
 from suspnet.trains.fits.bogie_fit import EXPLAINED, FURTHER_PARTS
 from suspnet.trains.fits.commissioning import Commissioned
@@ -27,8 +26,8 @@ from suspnet.vehicle.quantities import (
     Quantity,
 )
 
-LEAST_AGREEING = 2
-"""Starts that must find the same vehicle, as a single one may have ended in another valley."""
+UNTRUSTED = 5.0
+"""Misfit of the healthy trips above which the sensors are to be looked at first."""
 IDENTIFIED = 0.8
 """A number is identified if the trips reduce its deviation below this fraction of the prior's."""
 NARROW = 0.5
@@ -164,30 +163,8 @@ def _numbers(
     return sorted(uncertain, key=lambda number: list(PART_TITLES).index(number.quantity.part))
 
 
-def is_explained(outcome: Commissioned) -> bool:
-    """Return whether the vehicle explains its healthy trips."""
-    return outcome.misfit <= INCOMPLETE
-
-
 LOOK_FIRST = Finding("look-at-sensors-first", untrusted=UNTRUSTED)
 """Advice on a vehicle that is far from its trips."""
-
-
-def doubts(outcome: Commissioned) -> list[str]:
-    """Return a sentence for each reason not to rely on a commissioned vehicle."""
-    reasons: list[str] = []
-    if not is_explained(outcome):
-        reasons.append(Finding("vehicle-misfit", incomplete=INCOMPLETE, untrusted=UNTRUSTED))
-    if outcome.misfit > UNTRUSTED:
-        reasons.append(LOOK_FIRST)
-    if not outcome.converged:
-        reasons.append(
-            "The search for the vehicle did not converge: its numbers may not be the most "
-            "probable ones. Commission on more or longer trips."
-        )
-    if outcome.n_agree < LEAST_AGREEING:
-        reasons.append(Finding("no-start-agrees", n_starts=outcome.n_starts))
-    return reasons
 
 
 def unplaced(healthy: HealthyTrips) -> str | None:
@@ -195,17 +172,6 @@ def unplaced(healthy: HealthyTrips) -> str | None:
     if not (names := healthy.manifests[0].unplaced):
         return None
     return Finding("sensors-unplaced", names=together(names, ", "))
-
-
-def verdict(healthy: HealthyTrips, outcome: Commissioned) -> str:
-    """Return a sentence on whether the vehicle explains its healthy trips."""
-    n_trips, n_groups = len(healthy.manifests), len(healthy.groups)
-    stretches = Finding("stretches", n=n_groups) if n_groups > n_trips else ""
-    n_reverse = len({group.trip for group in healthy.groups if group.direction == REVERSE})
-    in_reverse = Finding("number-in-reverse", n=n_reverse) if n_reverse else ""
-    trips = together((Finding("trips", n=n_trips), stretches, in_reverse), ", ")
-    kind = "explains" if is_explained(outcome) else "does-not-explain"
-    return Finding(kind, trips=trips, misfit=outcome.misfit)
 
 
 def of_parts(bogie: CommissionedBogie) -> str:
@@ -291,11 +257,6 @@ def mass_doubt(masses: FloatArray) -> str | None:
     return Finding("mass-differs", exp=np.exp(logs.mean()))
 
 
-def agreement(outcome: Commissioned) -> str:
-    """Return a sentence on how many starts of the search found the same vehicle."""
-    return Finding("starts-agree", n_agree=outcome.n_agree, n_starts=outcome.n_starts)
-
-
 def reference(outcome: Commissioned) -> list[str]:
     """Return what healthy means for models of this vehicle, as sentences."""
     number_of = {number.quantity.name: number for number in numbers(outcome)}
@@ -307,8 +268,8 @@ def reference(outcome: Commissioned) -> list[str]:
     kind = "healthy-now-is" if values else "healthy-now"
     if any("±" in value for value in values):
         kind = "healthy-now-about"
-    laws = [law for law in (outcome.laws.temperature, outcome.laws.velocity) if law is not None]
-    return [Finding(kind, values=together(values, ", ")), *map(str, laws)]
+    law = outcome.bogie.law
+    return [Finding(kind, values=together(values, ", ")), *([str(law)] if law else [])]
 
 
 def untold(uncertain: Sequence[Number]) -> str:

@@ -158,9 +158,7 @@ def _of_equal_sides(
     if not bins:  # the first reason of each method
         reasons = dict.fromkeys(str(groups[0]) for groups in readings if groups)
         return TripReading(NoEstimateError(together(reasons)))
-    estimate, law = combined(bins), bins[0].method.law
-    if law is not None:
-        estimate = law.compared(estimate, recording.manifest.temperature_c)
+    estimate = combined(bins)
     lone = _lone_channels(bins[0].method.generator, recording)
     if lone:
         estimate = estimate.scaled(ROLL_AS_NOISE)

@@ -10,7 +10,7 @@ from suspnet.curves.speeds import NoEstimateError, Speeds
 from suspnet.curves.welch import SegmentSpectra
 from suspnet.estimation.trip_settings import LEAST_TRIPS, TripSettings
 from suspnet.ground.findings import Finding, at, of, together
-from suspnet.ground.parameters import DIRECTIONS, REVERSE, Direction
+from suspnet.ground.parameters import REVERSE, Direction
 from suspnet.ground.progress import bar
 from suspnet.ground.tensors import threads
 from suspnet.ground.wording import ShortRepr
@@ -36,9 +36,8 @@ class HealthyTrips(ShortRepr):
 
     `manifests` are those of the trips in use; `paired` tells which of axle box, frame and body have
     a sensor left and right; `left_out` are trips without a usable stretch, with the reason.
-    `later` are the directions of travel of the folder's other trips, as far as stated. Where the
-    sensors show each part, `vehicle` is the one with these parts, and `of_parts` are the trips as
-    it reads them; `groups` are empty if a channel has no sensor at axle 1.
+    `vehicle` is the one with the parts that the sensors show, and `of_parts` are the trips as it
+    reads them; `groups` are empty if a channel has no sensor at axle 1.
     `doubts` are sentences on sensors that look to be elsewhere, and on the direction of travel.
     """
 
@@ -46,17 +45,9 @@ class HealthyTrips(ShortRepr):
     groups: tuple[HealthySpectra, ...]
     paired: tuple[bool, bool, bool]
     left_out: tuple[str, ...] = ()
-    later: tuple[Direction, ...] = ()
     vehicle: SpatialVehicle | None = None
     of_parts: tuple[BogieTrip, ...] = ()
     doubts: tuple[str, ...] = ()
-
-    @property
-    def directions(self) -> tuple[Direction, ...]:
-        """Directions of travel of all trips of the folder: each needs a model of its own."""
-        run = {group.direction for group in self.groups}
-        run |= {trip.direction for trip in self.of_parts} | set(self.later)
-        return tuple(direction for direction in DIRECTIONS if direction in run)
 
     @property
     def speeds_m_per_s(self) -> tuple[float, ...]:
@@ -104,8 +95,7 @@ def read_healthy(
     """
     manifests = [file.trip for file in paths or map(ManifestFile, find_manifests(folder))]
     manifests.sort(key=lambda manifest: manifest.mileage_km)
-    n_first = len(manifests) if n_first is None else n_first
-    manifests, later = manifests[:n_first], manifests[n_first:]
+    manifests = manifests[:n_first]
     _check_same(folder, manifests, generator)
     vehicle = bogie_vehicle(manifests, generator)
     # a trip without a usable stretch is left out, with the reason
@@ -130,7 +120,6 @@ def read_healthy(
         groups if all(trip.groups for trip in usable) else (),
         paired.pop(),
         tuple(left_out),
-        tuple(manifest.direction for manifest in later if manifest.direction is not None),
         vehicle,
         tuple(trip.of_parts for trip in usable if trip.of_parts is not None),
         tuple(_doubts(usable, groups, generator)),
@@ -277,7 +266,6 @@ def _spectra(
             Speeds.of(*part.speed),
             part.spectra,
             left_out=part.left_out,
-            temperature_c=manifest.temperature_c,
         )
         for part in steady(segments, speeds, groups, settings, trips, wheel_lines(recording))
         if part.spectra is not None and part.has_enough

@@ -1,7 +1,7 @@
 """Places that manifests confuse: two sensors with each other, bogies and axles with others.
 
 For each two sensors, the residuals of `trains.spectra.subspace` at the median vehicle are computed
-with them exchanged, model errors of ``SPREADS[1]`` allowed for. Where an exchange lowers their rms,
+with them exchanged, model errors allowed for. Where an exchange lowers their rms,
 or nearly does, the trip is fitted with the sensors as given and exchanged, and the misfits decide.
 
 Left and right have their place in the residuals by the roll that they show. The rms alone finds
@@ -20,21 +20,16 @@ from itertools import combinations, product
 from operator import attrgetter, itemgetter
 from typing import Literal, TypeVar
 
-import numpy as np
-
 from suspnet.curves.estimates import EstimateSettings
 from suspnet.ground.findings import Finding, at, of, together
 from suspnet.ground.parameters import DIRECTIONS, REVERSE, Direction
-from suspnet.ground.types import FloatArray
 from suspnet.trains.fits.bogie_fit import healthy_misfit
 from suspnet.trains.fits.bogie_misfit import BogieMisfit
 from suspnet.trains.fits.bogie_search import end_near, learnt_end, misfits_in
-from suspnet.trains.fits.healthy_misfit import HealthySpectra, row_of
-from suspnet.trains.fits.vehicle_search import SPREADS, VehicleSearch
+from suspnet.trains.fits.healthy_misfit import HealthyMisfit, HealthySpectra
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.spectra.bogie_trip import BogieTrip, smallest_noise
 from suspnet.vehicle import SpatialVehicle, VerticalVehicle
-from suspnet.vehicle.quantities import MASS_MEAN
 from suspnet.vehicle.vertical_vehicle import OTHER_END
 
 Item = TypeVar("Item")
@@ -136,7 +131,8 @@ def elsewhere(
     places = product(OTHER_PLACE, OTHER_END, DIRECTIONS)
     every = [replace(generator, frame_sensor=f, axle=a, direction=way) for f, a, way in places]
     # most trips are nearest to their own place at the median vehicle already
-    at_start = [_rms_residual(*_place_search(vehicle, settings, trip)) for vehicle in every]
+    targets = [_place_misfit(vehicle, settings, trip) for vehicle in every]
+    at_start = [target.score(target.start()) for target in targets]
     likely = [vehicle for vehicle in _near(every, at_start, NEARLY) if vehicle not in as_stated]
     fits = [_place_fit(vehicle, settings, trip) for vehicle in likely]
     best = min(fits, key=attrgetter("score"), default=stated)
@@ -147,26 +143,21 @@ def elsewhere(
     return Elsewhere(stated, best)
 
 
-def _place_search(
+def _place_misfit(
     vehicle: VerticalVehicle, settings: EstimateSettings, trip: HealthySpectra
-) -> tuple[VehicleSearch, FloatArray]:
-    """Return the search for a rigid vehicle that explains one trip, and its start."""
+) -> HealthyMisfit:
+    """Return the sum of squares of one trip as a rigid vehicle moves."""
     # with axle guidance a frame may be as good as rigid, and its sensor be anywhere
     rigid = replace(vehicle, parts=(), distribution=None, nominal=None).with_prior()
-    search = VehicleSearch(rigid, settings, [replace(trip, trip=0, direction=vehicle.direction)])
-    return search, search.start(np.zeros(len(search.prior.names)), np.array([MASS_MEAN]))
-
-
-def _rms_residual(search: VehicleSearch, x: FloatArray) -> float:
-    return float(search.residuals(row_of(x), SPREADS[0]).square().mean().sqrt())
+    return HealthyMisfit(rigid, settings, replace(trip, direction=vehicle.direction))
 
 
 def _place_fit(
     vehicle: VerticalVehicle, settings: EstimateSettings, trip: HealthySpectra
 ) -> PlaceFit:
-    search, start = _place_search(vehicle, settings, trip)
-    end = search.search(start, SPREADS[:1]).x
-    return PlaceFit(vehicle, _rms_residual(search, end), *search.misfits(row_of(end)))
+    target = _place_misfit(vehicle, settings, trip)
+    end = target.search()
+    return PlaceFit(vehicle, target.score(end), target.misfit(end))
 
 
 def check_order(
