@@ -36,6 +36,7 @@ from suspnet.estimation.bogie_model import BogieModel
 from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.parameters import PARAMETERS, kind_of
 from suspnet.runs.fit import fit
 from suspnet.runs.predict import calibrated
 from suspnet.trains.identification.healthy_trips import read_healthy
@@ -138,7 +139,7 @@ def measured(trips: Trips, estimates: Sequence[Estimate | None]) -> list[Row]:
         values, low, high = (
             np.array([getattr(e, part)[0, j] for e in done]) for part in ("values", "low", "high")
         )
-        truth = trips.truth[worn, j]
+        truth = trips.truth[worn, PARAMETERS.index(kind_of(name))]  # all of a kind are worn alike
         errors, held = 100 * (values / truth - 1), (low <= truth) & (truth <= high)
         row = head | {
             "output": name,
