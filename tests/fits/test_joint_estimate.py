@@ -10,6 +10,7 @@ from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScat
 from suspnet.ground.parameters import BOGIE_PARTS
 from suspnet.trains.fits.bogie_fit import beyond_noise
 from suspnet.trains.fits.joint_estimate import joint_estimate
+from suspnet.trains.fits.worn_parts import least_losses
 
 LEVEL = 0.9
 Z = norm.ppf((1 + LEVEL) / 2)
@@ -79,3 +80,12 @@ WIDTHS = half_widths(bogie(), np.zeros((4, 12)))
 def test_an_unknown_scatter_is_refused():
     with pytest.raises(ValueError, match="scatter is not known"):
         joint_estimate(replace(bogie(), scatter=None), np.zeros((1, 12)), WIDTHS[:1], LEVEL)
+
+
+def test_a_bogie_without_parts_is_refused():
+    of = bogie()
+    of_kinds = replace(of.scatter, noise=tuple(map(tuple, np.eye(4))))
+    with pytest.raises(ValueError, match="do not show each part"):
+        joint_estimate(replace(of, scatter=of_kinds), np.zeros((1, 12)), WIDTHS[:1], LEVEL)
+    with pytest.raises(ValueError, match="do not show each part"):
+        least_losses(replace(of, scatter=of_kinds))

@@ -32,10 +32,12 @@ def joint_estimate(
 
     `logs` (n_trips, 12) and `half_widths` (n_trips, 12) are the logarithms of the ratios, and those
     of the ends of their intervals of that level over them. ValueError if the scatter of the healthy
-    trips is not known.
+    trips is not known, or the sensors do not show each part.
     """
     if bogie.scatter is None:
         raise ValueError("how the healthy trips scatter is not known")
+    if len(bogie.scatter.noise) != len(BOGIE_PARTS):
+        raise ValueError("the sensors do not show each part: there is no estimate of them")
     noise = np.array(bogie.scatter.noise)
     sizes = np.sqrt(np.diag(noise))
     correlation = noise / sizes[:, None] / sizes

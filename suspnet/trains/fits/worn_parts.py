@@ -128,10 +128,13 @@ def worn_parts(estimate: PartsEstimate) -> list[WornPart]:
 def least_losses(bogie: CommissionedBogie, level: float = 0.9) -> dict[str, float]:
     """Return the least loss of each part [-] from which it is named by one trip like the healthy.
 
-    1 if it is not named at ``MOST_LOSS`` either. ValueError if their scatter is not known.
+    1 if it is not named at ``MOST_LOSS`` either. ValueError if their scatter is not known, or the
+    sensors do not show each part.
     """
     if bogie.scatter is None:
         raise ValueError("how the healthy trips scatter is not known")
+    if len(bogie.scatter.noise) != len(BOGIE_PARTS):
+        raise ValueError("the sensors do not show each part: no part is named")
     noise, wider = np.pad(np.array(bogie.scatter.noise), (0, 1)), bogie.scatter.student(level) ** 2
     return _least_losses(lambda logs: wider * (noise + beyond_noise(bogie, logs)), level)
 

@@ -82,18 +82,21 @@ def training_notes(healthy: HealthyTrips, outcome: Commissioned) -> dict[str, An
 def as_json(healthy: HealthyTrips, outcome: Commissioned) -> dict[str, Any]:
     """Return all numbers of a commissioned vehicle in SI units, for a file."""
     generator, bogie = outcome.generator, outcome.bogie
+    numbers = words.numbers(outcome) + words.further_numbers(bogie)
     return {
         "suspnet_version": __version__,
         "vehicle": generator.vehicle.name,
         "suspension": str(healthy.manifests[0].place),
         "parts": list(generator.parts),
         "verdict": [words.of_parts(bogie), *words.doubts_of_parts(bogie), *healthy.doubts],
+        "errors": words.errors_of_parts(bogie, healthy),
+        "reach": words.reach_of_parts(bogie),
         "threshold": EXPLAINED,
         **training_notes(healthy, outcome),
         "trips": _trips(healthy, outcome),
         "left_out": list(healthy.left_out),
         "bogie_mass_kg": generator.vehicle.bogie_mass_kg,
-        "numbers": [number.as_json() for number in words.numbers(outcome)],
+        "numbers": [number.as_json() for number in numbers],
     }
 
 
