@@ -21,9 +21,11 @@ import pyarrow.parquet as pq
 from suspnet import Rig, RigRecord, commission_rig, read_rig
 
 plt.style.use("tableau-colorblind10")
+# the gallery runs a script in its folder, without `__file__`
+script = Path(globals().get("__file__", "plot_rig.py")).resolve()
 shelf = next(
     folder
-    for parent in Path(__file__).resolve().parents
+    for parent in script.parents
     if (folder := parent / "shared" / "real" / "shelf").is_dir()
 )
 FLOORS, RATE_HZ = ("floor1", "floor2", "floor3"), 120.0
