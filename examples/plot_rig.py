@@ -24,9 +24,7 @@ plt.style.use("tableau-colorblind10")
 # the gallery runs a script in its folder, without `__file__`
 script = Path(globals().get("__file__", "plot_rig.py")).resolve()
 shelf = next(
-    folder
-    for parent in script.parents
-    if (folder := parent / "shared" / "real" / "shelf").is_dir()
+    folder for parent in script.parents if (folder := parent / "shared" / "real" / "shelf").is_dir()
 )
 FLOORS, RATE_HZ = ("floor1", "floor2", "floor3"), 120.0
 
