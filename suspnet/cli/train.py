@@ -10,6 +10,7 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING
 
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, ListConfig
 from sklearn.exceptions import ConvergenceWarning
 
@@ -65,6 +66,8 @@ NO_DIRECTION = (
 )
 FIRST_M_PER_S = 70.0
 """Assumed speed until the healthy trips have shown theirs, [m/s]; only leakage depends on it."""
+OF_REGRESSIONS = ("speed_m_per_s", "direction", "model", "refine", "search", "dataset")
+"""Settings that the vehicle of healthy trips does not need."""
 
 
 @program.task
@@ -112,6 +115,8 @@ def _run(config: DictConfig, folder: Path, paths: Sequence[ManifestFile] | None 
     # refuse wrong settings before minutes of healthy trips and curves
     build(config, "protocol").task(config.group)
     check_hyperparameters(build(config, "model"))
+    if config.healthy is not None:
+        _warn_of_unused(HydraConfig.get().overrides.task)
     commissioned = _commissioned(_at_a_speed(config), folder, paths)
     if commissioned is not None:
         program.save_config(config, folder)
@@ -135,6 +140,16 @@ def _run(config: DictConfig, folder: Path, paths: Sequence[ManifestFile] | None 
         lambda speeds_of_model, where: _train(_bound(config, speeds_of_model), where),
         folder,
     )
+
+
+def _warn_of_unused(typed: Sequence[str]) -> None:
+    """Log which typed settings are of a regression, as none is trained on healthy trips."""
+    keys = dict.fromkeys(word.lstrip("+~").partition("=")[0] for word in typed)
+    if unused := [key for key in keys if key.partition(".")[0] in OF_REGRESSIONS]:
+        log.warning(
+            "without effect, as the vehicle of healthy trips reads trips itself: %s",
+            ", ".join(unused),
+        )
 
 
 def _at_a_speed(config: DictConfig) -> DictConfig:

@@ -81,6 +81,13 @@ def test_parts_that_are_named_are_the_vehicles(fitted, folder, tmp_path):
     assert load_model(tmp_path / "run").bogie.generator.parts == ("bushings", "roll")
 
 
+def test_settings_of_regressions_are_named_as_without_effect(fitted, folder, tmp_path, caplog):
+    given = [*TRIPS, f"healthy={folder}", "model=svr", "speed_m_per_s=60"]
+    with caplog.at_level(logging.WARNING):
+        assert run_program(train, tmp_path / "run", *given) == 0
+    assert "reads trips itself: model, speed_m_per_s" in caplog.text
+
+
 def test_no_speed_is_for_healthy_trips(folder, tmp_path):
     said = run_program(train, tmp_path / "none", *TRIPS, "speed_m_per_s=null")
     assert said == (
