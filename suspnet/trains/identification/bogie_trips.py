@@ -152,8 +152,11 @@ def _trip_of_all(
     assert generator.sensors is not None
     lost = _lost_sensors(recording, generator)
     n_sensors = len(generator.sensors) - len(lost)
+    # shorter segments leak more, so that fewer averages are no gain
+    longest = (SEGMENTS_S[0], EQUAL_SEGMENTS_S[0])[not generator.shows_parts]
+    least = n_sensors + 1 if segment_s == longest else max(n_sensors + 1, MIN_AVERAGES)
     if recording.duration_s < segment_s:
-        raise NoEstimateError(_too_short(0, n_sensors, segment_s))
+        raise NoEstimateError(_too_short(0, n_sensors, segment_s, least))
     names, segments = sensor_segments(recording, Welch(segment_s))
     place_of = _places(recording.manifest, generator.frame_sensor)
     places = [place_of.get(name) for name in names]
@@ -162,11 +165,8 @@ def _trip_of_all(
     groups = groups_to_read(speeds, settings.speed_tolerance, settings.min_speed_m_per_s)
     chosen = without_loud(segments, groups[0]) if groups else torch.zeros(0, dtype=torch.bool)
     n_chosen = int(chosen.sum())
-    # shorter segments leak more, so that fewer averages are no gain
-    longest = (SEGMENTS_S[0], EQUAL_SEGMENTS_S[0])[not generator.shows_parts]
-    least = n_sensors + 1 if segment_s == longest else max(n_sensors + 1, MIN_AVERAGES)
     if not n_chosen or segments.welch.n_averages(n_chosen) <= least:
-        raise NoEstimateError(_too_short(n_chosen, n_sensors, segment_s))
+        raise NoEstimateError(_too_short(n_chosen, n_sensors, segment_s, least))
     spacing_hz = SPACING_HZ if generator.shows_parts else EQUAL_SPACING_HZ
     bins = _bins(segments.frequencies_hz, round(spacing_hz * segment_s))
     matrix = SpectralMatrix.of(segments, chosen).at(bins).of_sensors(order)
@@ -205,13 +205,12 @@ def _lost_sensors(recording: Recording, generator: SpatialVehicle) -> tuple[str,
     return lost
 
 
-def _too_short(n_segments: int, n_sensors: int, segment_s: float) -> str:
-    least = math.nextafter(max(n_sensors + 1, MIN_AVERAGES), math.inf)
+def _too_short(n_segments: int, n_sensors: int, segment_s: float, least: int) -> str:
     return Finding(
         "too-short-for-parts",
         n_sensors=n_sensors,
         seconds_each=segment_s,
-        minutes=minutes_words(Welch(segment_s), n_segments, least),
+        minutes=minutes_words(Welch(segment_s), n_segments, math.nextafter(least, math.inf)),
     )
 
 
