@@ -88,9 +88,7 @@ def read(name, seed, options, ratios, celsius, trips):
     later = range(options.healthy, len(trips))
     rows = []
     for i in later:
-        found = fit_parts(commissioned, trips[i])
-        if commissioned.law is not None and celsius[i] is not None:
-            found = found.compared(commissioned.law, celsius[i])
+        found = fit_parts(commissioned, trips[i]).compared(commissioned.law, celsius[i])
         is_flagged = not (commissioned.converged and found.converged)  # as by estimate_parts
         row = head | {"trip": i} | row_of(found, ratios[i])
         rows.append(row | {"flagged": int(is_flagged), "is_done": int(found.converged)})

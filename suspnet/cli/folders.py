@@ -252,10 +252,9 @@ def _changed(*shown: str) -> str:
     what the command line sets for all its runs.
     """
     config, named = HydraConfig.get(), swept()
-    settings = dict(_split(override) for override in config.overrides.task)
     return joined_name(
         _word(key, value, key in config.runtime.choices)
-        for key, value in settings.items()
+        for key, value in typed_settings().items()
         if key not in shown and (key in named or not named)
     )
 
@@ -265,10 +264,10 @@ def _unless_healthy(usual: float, _root_: DictConfig) -> float | None:
     return None if OmegaConf.select(_root_, "healthy") is not None else usual
 
 
-def _split(override: str) -> tuple[str, str]:
-    """Return key and value of an override, without Hydra's marks for additions and its quotes."""
-    key, _, value = override.partition("=")
-    return key.lstrip("+~"), value.strip("'")
+def typed_settings() -> dict[str, str]:
+    """Return what the command line sets, without Hydra's marks for additions and its quotes."""
+    pairs = (override.partition("=") for override in HydraConfig.get().overrides.task)
+    return {key.lstrip("+~"): value.strip("'") for key, _, value in pairs}
 
 
 def _word(key: str, value: str, is_choice: bool) -> str:

@@ -6,10 +6,10 @@ import logging
 from dataclasses import replace
 from pathlib import Path
 
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from suspnet.cli import program
+from suspnet.cli import folders, program
+from suspnet.cli.commission_fleet import HealthySettings
 from suspnet.cli.kinds import build, plain
 from suspnet.ground.extras import check_extra, optional
 from suspnet.ground.parameters import DEFAULT_LIMITS, Severity, read_limits
@@ -59,7 +59,7 @@ def train_rig(config: DictConfig, folder: Path) -> None:
         raise ValueError(f"{rig.name} is a rig, which is learnt on records: give healthy=DIR")
     check_extra("trips")
     _check_typed(OF_TRAINING)
-    check_number("n_healthy", config.n_healthy, low=3, whole=True, optional=True)
+    HealthySettings(config.n_healthy)  # raises if it is wrong
     commissioned = commission_folder(rig, Path(config.healthy), folder, config.n_healthy)
     program.save_config(config, folder)
     for line in commissioning_lines(commissioned):
@@ -94,7 +94,6 @@ def evaluate_rig(config: DictConfig, output: Path) -> list[Severity]:
 
 def _check_typed(allowed: tuple[str, ...]) -> None:
     """Raise ValueError if a setting is typed that changes nothing for a rig."""
-    for word in HydraConfig.get().overrides.task:
-        key = word.lstrip("+~").partition("=")[0]
+    for key in folders.typed_settings():
         if not any(f"{key}.".startswith(f"{name}.") for name in allowed):
             raise ValueError(f"`{key}` is not for rigs: leave it out; allowed are {allowed}")

@@ -10,7 +10,6 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING
 
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, ListConfig
 from sklearn.exceptions import ConvergenceWarning
 
@@ -92,6 +91,8 @@ def main(config: DictConfig) -> None:
     if finished is not None and not (finished == folder and may_have_grown):
         log.info("finished before: %s", finished)
         return
+    if config.healthy is not None:
+        _warn_of_unused()
     if are_several(config, groups):
         at_a_speed = _at_a_speed(config)
         _check_healthy(at_a_speed)
@@ -116,11 +117,9 @@ def _run(config: DictConfig, folder: Path, paths: Sequence[ManifestFile] | None 
     build(config, "protocol").task(config.group)
     check_hyperparameters(build(config, "model"))
     if config.healthy is not None:
-        _warn_of_unused(HydraConfig.get().overrides.task)
-    commissioned = _commissioned(_at_a_speed(config), folder, paths)
-    if commissioned is not None:
+        model = _commissioned(_at_a_speed(config), folder, paths)
         program.save_config(config, folder)
-        write_bogie_model(folder, commissioned)
+        write_bogie_model(folder, model)
         return
     speeds = config.speed_m_per_s
     if speeds is None:
@@ -142,10 +141,10 @@ def _run(config: DictConfig, folder: Path, paths: Sequence[ManifestFile] | None 
     )
 
 
-def _warn_of_unused(typed: Sequence[str]) -> None:
+def _warn_of_unused() -> None:
     """Log which typed settings are of a regression, as none is trained on healthy trips."""
-    keys = dict.fromkeys(word.lstrip("+~").partition("=")[0] for word in typed)
-    if unused := [key for key in keys if key.partition(".")[0] in OF_REGRESSIONS]:
+    typed = folders.typed_settings()
+    if unused := [key for key in typed if key.partition(".")[0] in OF_REGRESSIONS]:
         log.warning(
             "without effect, as the vehicle of healthy trips reads trips itself: %s",
             ", ".join(unused),
@@ -218,10 +217,8 @@ def _check_healthy(config: DictConfig) -> EstimateSettings:
 
 def _commissioned(
     config: DictConfig, folder: Path, paths: Sequence[ManifestFile] | None
-) -> BogieModel | None:
-    """Return the model of the vehicle that healthy trips show; None without a folder of them."""
-    if config.healthy is None:
-        return None
+) -> BogieModel:
+    """Return the model of the vehicle that healthy trips show."""
     # wrong settings are refused before minutes of reading
     settings, trips = _check_healthy(config), TripSettings()
     HealthySettings(config.n_healthy)  # raises if it is wrong

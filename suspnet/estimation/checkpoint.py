@@ -221,6 +221,7 @@ def load_model(folder: Path | str, device: str = "cpu") -> TrainedModel | BogieM
     try:
         with foreign_file(path):
             content = read_json(path)
+            _refuse_regression(path, content)
             check_description(path, content, SCHEMA_VERSION)
             _check_known(path, content)
             arrays = read_arrays(folder / "model.safetensors", content["arrays_sha256"])
@@ -273,15 +274,21 @@ def parameters(estimator: Any) -> dict[str, Any]:
     return {k: v for k, v in estimator.get_params().items() if k != "callback"}
 
 
-def check_description(path: Path, content: Any, schema_version: int) -> None:
-    """Raise ModelFileError unless a description has that version and the hash, which is removed."""
-    if not isinstance(content, dict) or "schema_version" not in content:
-        raise ModelFileError(f"{path} is not a suspnet model: it has no schema_version")
-    if content.get("model") != BOGIE and "commissioned" in content.get("training", {}):
+def _refuse_regression(path: Path, content: Any) -> None:
+    """Raise ModelFileError for a regression that was trained on a commissioned vehicle."""
+    training = content.get("training") if isinstance(content, dict) else None
+    is_noted = isinstance(training, dict) and "commissioned" in training
+    if is_noted and content.get("model") != BOGIE:
         raise ModelFileError(
             f"{path} is a regression for the vehicle that healthy trips showed, which suspnet no "
             "longer reads: commission again"
         )
+
+
+def check_description(path: Path, content: Any, schema_version: int) -> None:
+    """Raise ModelFileError unless a description has that version and the hash, which is removed."""
+    if not isinstance(content, dict) or "schema_version" not in content:
+        raise ModelFileError(f"{path} is not a suspnet model: it has no schema_version")
     if content["schema_version"] != schema_version:
         raise ModelFileError(
             f"{path} has schema version {content['schema_version']}, this suspnet reads "

@@ -39,9 +39,14 @@ class HealthyScatter:
         return np.diag(own) + np.where(kinds[:, None] == kinds, alike, 0.0)
 
     def student(self, level: float) -> float:
-        """Return Student's quantile over the normal one, of an interval of that level."""
-        tail = (1 + level) / 2
-        return float(t.ppf(tail, self.n_trips - 1) / norm.ppf(tail))
+        """Return `student_factor` of an interval of that level."""
+        return student_factor(self.n_trips, level)
+
+
+def student_factor(n_trips: int, level: float) -> float:
+    """Return Student's quantile over the normal one, of a scatter that n_trips show."""
+    tail = (1 + level) / 2
+    return float(t.ppf(tail, n_trips - 1) / norm.ppf(tail))
 
 
 @dataclass(frozen=True, repr=False)

@@ -2,8 +2,8 @@
 
 There are five kinds of flags. `OODDetector` sets four: a peak is missing; the features lie outside
 the cloud of the training curves; a parameter lies outside the training range; the generator does
-not explain the curve with any parameters. `with_doubt` sets that of physics on every trip that is
-read with a bogie whose commissioning did not converge.
+not explain the curve with any parameters. That of physics is on every trip that is read with a
+bogie whose commissioning did not converge.
 """
 
 import math
@@ -29,12 +29,6 @@ BOGIE_NOT_CONVERGED = (
     "are none"
 )
 """Flag of every trip of which each part is compared with such a bogie."""
-
-
-def with_doubt(flags: Flags, *, has_converged: bool, words: str) -> Flags:
-    """Return the flags of a trip, with the doubt about the healthy vehicle it is compared with."""
-    return flags if has_converged else flags.with_kind("physics", words)
-
 
 N_REFERENCE, N_NEIGHBOURS = 4096, 4
 """Number of training features that the detector stores, and of the nearest neighbours over which

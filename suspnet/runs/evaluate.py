@@ -8,6 +8,7 @@ from pathlib import Path
 from suspnet.curves.problem import TEST, Problem
 from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.fitted import FittedMethod
+from suspnet.estimation.rig_files import RIG_FILE
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.progress import stage
 from suspnet.ground.storage import write_json
@@ -85,7 +86,7 @@ def find_runs(path: Path) -> list[Path]:
     if not path.exists():
         raise FileNotFoundError(f"run={path} does not exist")
     runs = sorted(file.parent for file in path.rglob("model.json"))
-    if not runs and (path / "rig.json").is_file():
+    if not runs and (path / RIG_FILE).is_file():
         raise ValueError(f"run={path} holds a rig: evaluate with trips=DIR alone reads its records")
     if not runs:
         raise FileNotFoundError(f"run={path} holds no model.json; is it the folder of a run?")

@@ -88,11 +88,16 @@ class PartsEstimate(ShortRepr):
         """Standard deviation of each logarithm, (n_names,), [-]."""
         return np.sqrt(np.diag(self.covariance))
 
-    def compared(self, law: DampingByTemperature, temperature_c: float) -> PartsEstimate:
+    def compared(
+        self, law: DampingByTemperature | None, temperature_c: float | None
+    ) -> PartsEstimate:
         """Return the estimate with damping as it would be at the healthy trips' temperature.
 
-        The errors of the slopes are the same for all dampers of a kind.
+        The errors of the slopes are the same for all dampers of a kind. Without a law or the trip's
+        temperature nothing changes.
         """
+        if law is None or temperature_c is None:
+            return self
         warmer = temperature_c - law.healthy_c
         is_damper = np.array([[kind_of(name) == kind for kind in DAMPINGS] for name in self.names])
         shared = is_damper * warmer * np.array(law.deviations)
@@ -156,11 +161,19 @@ def beyond_noise(bogie: CommissionedBogie, logs: FloatArray) -> FloatArray:
     `logs` (13,) are those found.
     """
     assert bogie.scatter is not None
+    covariance: FloatArray = np.pad(bogie.scatter.covariance, (0, 1))
+    return covariance + wear_errors(bogie, logs)
+
+
+def wear_errors(bogie: CommissionedBogie, logs: FloatArray) -> FloatArray:
+    """Return the covariance (1 - 1 / mu_0^2) D of the logarithms of all parts and the mass.
+
+    `logs` (13,) are those found.
+    """
     sizes = np.array([SENSITIVITY.get(kind_of(name), 0.0) for name in COMPONENTS])
     wear = np.abs(logs[:-1])
-    off = np.diag(sizes * np.append(np.maximum(wear, wear.max() / 2), 0.0)) ** 2
-    covariance: FloatArray = np.pad(bogie.scatter.covariance, (0, 1))
-    return covariance + (1 - 1 / max(1.0, bogie.misfit) ** 2) * off
+    off: FloatArray = np.diag(sizes * np.append(np.maximum(wear, wear.max() / 2), 0.0)) ** 2
+    return (1 - 1 / max(1.0, bogie.misfit) ** 2) * off
 
 
 def healthy_misfit(

@@ -279,17 +279,15 @@ class BogieMisfit:
         """Return what the dampers of both bogies do to the sensors of trip i."""
         trip, columns = self.trips[i], self.generator.columns
         bins_hz = self.frequencies_hz[trip.of(self.all_bins)]
-        inputs, sensors = self._inputs, self.sensors_of(trip)
-        changes = []
-        for kind in DAMPINGS:
-            of_kind = [name for name in COMPONENTS if name.startswith(kind)]
-            dampers = [
-                columns.index(prefix + name) for prefix in ("", "other_") for name in of_kind
-            ]
-            each = torch.eye(len(columns), dtype=torch.float64)[dampers]
-            of_dampers = self._of(trip).channels_along(self._rows(x, i), bins_hz, each)[1][0]
-            changes.append(of_dampers[:, inputs][:, :, sensors])
-        return DamperForces(bins_hz, changes)
+        kinds = [
+            [p + name for p in ("", "other_") for name in COMPONENTS if name.startswith(kind)]
+            for kind in DAMPINGS
+        ]
+        dampers = [columns.index(name) for of_kind in kinds for name in of_kind]
+        each = torch.eye(len(columns), dtype=torch.float64)[dampers]
+        _, (changes,) = self._of(trip).channels_along(self._rows(x, i), bins_hz, each)
+        changes = changes[:, self._inputs][:, :, self.sensors_of(trip)]
+        return DamperForces(bins_hz, changes.split(list(map(len, kinds))))
 
     def _leakage(self, x: FloatArray, i: int, responses: Tensor) -> Leakage | None:
         """Return what the bins of trip i, whose responses those are, take from their neighbours."""

@@ -7,8 +7,8 @@ the n healthy trips that all are relative to, the rest to the trip alone. The es
     e = W^-1 sum_i T_i^-1 e_i,    W = sum_i T_i^-1,
     covariance = tau^2 [(1 - f) W^-1 + f mean_i T_i + D(e)]
 
-Of T_i the intervals that a history keeps tell the diagonal; the correlations of C_i are those of
-the healthy trips' noise.
+The intervals in a history give the diagonal of T_i; the correlations of C_i are those of the
+healthy trips' noise.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from scipy.stats import norm
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.ground.parameters import BOGIE_PARTS
 from suspnet.ground.types import FloatArray
-from suspnet.trains.fits.bogie_fit import PartsEstimate, beyond_noise
+from suspnet.trains.fits.bogie_fit import PartsEstimate, wear_errors
 
 LEAST_NOISE = 0.1
 """Least deviation by noise, of that of an interval: what else widens it is known to no more."""
@@ -46,18 +46,18 @@ def joint_estimate(
     scatter = bogie.scatter.covariance
     totals = []
     for of_trip, deviation in zip(logs, deviations, strict=True):
-        variance = deviation**2 - np.diag(_beyond(bogie, of_trip))
+        variance = deviation**2 - np.diag(scatter + _wear_errors(bogie, of_trip))
         own = np.sqrt(np.maximum(variance, (LEAST_NOISE * deviation) ** 2))
         totals.append(own[:, None] * correlation * own + scatter)
     weights = np.linalg.inv(totals)
     whole = np.linalg.inv(weights.sum(axis=0))
     joint = whole @ np.einsum("tij,tj->i", weights, logs)
     shared = 1 / (bogie.scatter.n_trips + 1)
-    wear = _beyond(bogie, joint) - scatter
-    covariance = tau**2 * ((1 - shared) * whole + shared * np.mean(totals, axis=0) + wear)
+    covariance = (1 - shared) * whole + shared * np.mean(totals, axis=0)
+    covariance = tau**2 * (covariance + _wear_errors(bogie, joint))
     return PartsEstimate(np.exp(joint), covariance, 1.0, True, level, BOGIE_PARTS)
 
 
-def _beyond(bogie: CommissionedBogie, logs: FloatArray) -> FloatArray:
-    """Return V + D of the parts, (12, 12)."""
-    return beyond_noise(bogie, np.append(logs, 0.0))[:-1, :-1]
+def _wear_errors(bogie: CommissionedBogie, logs: FloatArray) -> FloatArray:
+    """Return D of the parts alone, (12, 12)."""
+    return wear_errors(bogie, np.append(logs, 0.0))[:-1, :-1]

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScatter
+from suspnet.estimation.commissioned_bogie import CommissionedBogie, student_factor
 from suspnet.ground.findings import WORN, WORN_ONE_OF, Finding, together
 from suspnet.ground.parameters import BOGIE_PARTS, kind_of, part_words
 from suspnet.ground.tensors import threads
@@ -151,7 +151,7 @@ def expected_losses(
     """
     fit = healthy_misfit(vehicle, [trip])
     noise = expected_noise(fit, fit.start(), n_healthy)
-    wider = HealthyScatter((0.0,) * 4, (0.0,) * 4, n_healthy, ()).student(level) ** 2
+    wider = student_factor(n_healthy, level) ** 2
     return _least_losses(lambda _: wider * noise, level)
 
 

@@ -15,7 +15,7 @@ from suspnet.curves.speeds import NoEstimateError
 from suspnet.curves.welch import Welch
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.estimate import Estimate
-from suspnet.estimation.flags import BOGIE_NOT_CONVERGED, with_doubt
+from suspnet.estimation.flags import BOGIE_NOT_CONVERGED
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.findings import Finding, at, together
 from suspnet.ground.parameters import FORWARD, Direction
@@ -124,10 +124,13 @@ def bogie_trip(
     """
     settings = settings or TripSettings()
     candidates, reasons = _candidates(recording), []
-    for segment_s in SEGMENTS_S if generator.shows_parts else EQUAL_SEGMENTS_S:
+    lengths_s = SEGMENTS_S if generator.shows_parts else EQUAL_SEGMENTS_S
+    for segment_s in lengths_s:
+        # shorter segments leak more, so that fewer averages are no gain
+        least = 0 if segment_s == lengths_s[0] else MIN_AVERAGES
         for candidate in candidates:
             try:
-                return _trip_of_all(candidate, generator, settings, direction, segment_s)
+                return _trip_of_all(candidate, generator, settings, direction, segment_s, least)
             except NoEstimateError as reason:
                 reasons.append(reason)
     raise reasons[-len(candidates)]  # of all sensors, with the shortest segments
@@ -147,14 +150,16 @@ def _trip_of_all(
     settings: TripSettings,
     direction: Direction | None,
     segment_s: float,
+    least: int,
 ) -> BogieTrip:
-    """Return the spectral matrix of all sensors of a recording, as of `bogie_trip`."""
+    """Return the spectral matrix of all sensors of a recording, as of `bogie_trip`.
+
+    It must have more averages than `least`, and than its sensors and one.
+    """
     assert generator.sensors is not None
     lost = _lost_sensors(recording, generator)
     n_sensors = len(generator.sensors) - len(lost)
-    # shorter segments leak more, so that fewer averages are no gain
-    longest = (SEGMENTS_S[0], EQUAL_SEGMENTS_S[0])[not generator.shows_parts]
-    least = n_sensors + 1 if segment_s == longest else max(n_sensors + 1, MIN_AVERAGES)
+    least = max(least, n_sensors + 1)
     if recording.duration_s < segment_s:
         raise NoEstimateError(_too_short(0, n_sensors, segment_s, least))
     names, segments = sensor_segments(recording, Welch(segment_s))
@@ -248,11 +253,11 @@ def estimate_parts(
     if settings.check_channels:
         check_order(bogie.generator, trip)
     parts = fit_parts(bogie, trip, settings.level)
-    temperature_c = recording.manifest.temperature_c
-    if bogie.law is not None and temperature_c is not None:
-        parts = parts.compared(bogie.law, temperature_c)
+    parts = parts.compared(bogie.law, recording.manifest.temperature_c)
     estimate = parts.as_estimate()
-    flags = with_doubt(estimate.flags, has_converged=bogie.converged, words=BOGIE_NOT_CONVERGED)
+    flags = estimate.flags
+    if not bogie.converged:
+        flags = flags.with_kind("physics", BOGIE_NOT_CONVERGED)
     if not parts.converged:
         flags = flags.with_kind("misfit", "the search for the parts did not end within its steps")
     # its covariance grows with the misfit, so that none alone silences a verdict

@@ -45,10 +45,11 @@ def with_joint_verdicts(
         widths = np.array([[one.half_widths[name] for name in BOGIE_PARTS] for one in last])
         for n in range(2, len(last) + 1):
             worn = worn_parts(joint_estimate(bogie, logs[-n:], widths[-n:], level))
-            signs = dict(zip(BOGIE_PARTS, np.abs(np.sign(logs[-n:]).sum(axis=0)) == n, strict=True))
-            if named := [part for part in worn if part.is_named and signs[part.names[0]]]:
-                findings = [part.finding for part in named]
-                joined[-1] = replace(result, worn=together(_of_trips(f, n) for f in findings))
+            same_side = np.abs(np.sign(logs[-n:]).sum(axis=0)) == n
+            is_lasting = dict(zip(BOGIE_PARTS, same_side, strict=True))
+            if named := [part for part in worn if part.is_named and is_lasting[part.names[0]]]:
+                worn_words = together(_of_trips(part.finding, n) for part in named)
+                joined[-1] = replace(result, worn=worn_words)
                 break
     return joined
 
