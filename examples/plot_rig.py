@@ -110,6 +110,6 @@ plt.show()
 # %%
 # What one sees
 # -------------
-# The walls are told apart beyond doubt. The intervals are wide for two reasons: three healthy
-# records tell little of their own scatter, and the shelf is no ideal chain, so that each band of
+# The walls differ beyond doubt. The intervals are wide for two reasons: three healthy
+# records show little of their own scatter, and the shelf is no ideal chain, so that each band of
 # frequencies asks for slightly other springs. More is on the page on :doc:`rigs </rigs>`.

@@ -46,7 +46,7 @@ def record(numbers, rate_hz, seconds, seed, *, noise=0.003, base=None, start=Tru
 
     `hung` is as of `chain`. `base` (n * ``OVERSAMPLING``,) is the base's acceleration, None: noise
     up to 0.45 of the rate.
-    `noise` is the rms of the sensors' noise over that of the base. `start`: the record begins in
+    `noise` is the rms of the sensors' noise over that of the base. `start`: the record starts in
     the middle of the motion.
     """
     rng = np.random.default_rng(seed)

@@ -65,8 +65,7 @@ class EstimateSettings(Counts):
     )
     minutes: float = setting(
         20.0,
-        "Usable recording of a trip, with healthy=DIR that of its trips; at least four independent "
-        "averages of segment_s",
+        "Usable recording of a trip; at least four independent averages of segment_s",
         "min",
         above=0,
         below=100000,

@@ -14,7 +14,7 @@ With d_i and v_i as above, ::
     s^2 = max(0, mean_i(d_i^2 - v_i)) (1 + 1 / n) / (1 + 1 / (n - 1))
 
 Intervals have Student's quantiles of n - 1 degrees of freedom, or of one less than bands if that is
-smaller: few records, and few bands, tell little of both.
+smaller: few records, and few bands, show little of both.
 """
 
 from __future__ import annotations

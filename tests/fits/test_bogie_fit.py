@@ -481,7 +481,7 @@ def test_losses_are_known_before_commissioning():
     noise_alone = replace(bogie.scatter, own=(0.0,) * 4, alike=(0.0,) * 4)
     found = least_losses(replace(bogie, misfit=1.0, scatter=noise_alone))
     np.testing.assert_allclose([*expected.values()], [*found.values()], rtol=0.15)
-    # fewer healthy trips tell less
+    # fewer healthy trips show less
     fewer = expected_losses(VEHICLE, trips[0], 2)
     assert sum(fewer.values()) > sum(expected.values())
 

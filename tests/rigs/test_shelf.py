@@ -1,4 +1,4 @@
-"""The measured shelf: no flag on its healthy records, and both kinds of walls told apart."""
+"""The measured shelf: no flag on its healthy records, and both kinds of walls distinguished."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""A commissioned bogie as a vehicle with both sides and axles as equal, beside its trips' curves.
+"""A commissioned bogie as a vehicle with both sides and axles as equal, and its trips' curves.
 
 Pages show it, and models of a bogie check the channels of later trips with it.
 """
@@ -63,7 +63,7 @@ def as_bogie(
     groups: Sequence[HealthySpectra],
     bogie: CommissionedBogie,
 ) -> Commissioned:
-    """Return the vehicle of equal sides with the numbers of a bogie, beside the trips' curves.
+    """Return the vehicle of equal sides with the numbers of a bogie, and the trips' curves.
 
     `generator` has the prior as its distribution; numbers that the bogie lacks keep it. `settings`
     are bound to the vehicle; `groups` may be none. The curves are those of the healthy trips' mean

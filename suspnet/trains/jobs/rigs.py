@@ -37,7 +37,7 @@ from suspnet.vehicle.rig import Rig
 
 log = logging.getLogger(__name__)
 WIDEST = 10.0
-"""Ratio of the ends of an interval from which a table shows none: the record does not tell."""
+"""Ratio of the ends of an interval from which a table shows none: the record does not show it."""
 SHOWN = {
     "primary_hz": "frame alone, Hz",
     "secondary_hz": "body alone, Hz",
