@@ -18,7 +18,6 @@ from suspnet.ground.records import PLACE, Place, TripResult, outputs_of
 from suspnet.ground.storage import printable, write_table
 from suspnet.ground.wording import thousands
 from suspnet.trains.history import History, HistoryError
-from suspnet.trains.history.backup import back_up, restore
 from suspnet.trains.history.database import check_exists
 from suspnet.trains.history.outbox import MOST_LISTED
 from suspnet.trains.history.store import acknowledge_alarms
@@ -32,14 +31,6 @@ def history(arguments: Namespace) -> None:
     HistoryError if the store is missing or cannot be used, ValueError if an event or an
     acknowledgement is not valid.
     """
-    if arguments.does == "restore":
-        size = restore(arguments.file, arguments.store)
-        print(f"{thousands(size)} bytes of {arguments.file} -> {arguments.store}")
-        return
-    if arguments.does == "backup":
-        size = back_up(arguments.store, arguments.file, replace=arguments.replace)
-        print(f"{thousands(size)} bytes -> {arguments.file}")
-        return
     check_exists(arguments.store)
     with History(arguments.store) as store:
         # printable: whoever acknowledges writes what is printed here

@@ -6,7 +6,6 @@ They are parsed before the programs' modules are imported.
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 from suspnet.ground.parameters import PARAMETERS, Cause
 from suspnet.ground.records import EVENT_KINDS, PLACE_FROM_TRAIN
@@ -46,7 +45,6 @@ HISTORY_EPILOG = """\
   suspnet history fleet.db acknowledge --vehicle am96 --suspension "car 7, left" \\
       --parameter k_p --by "Kim Li" --words "spring ordered"
   suspnet history fleet.db notify notify.yaml --follow
-  suspnet history fleet.db backup /backups/fleet.db
 
 STORE is a file, or postgresql://user:password@host/database."""
 
@@ -126,7 +124,7 @@ def history_parser() -> ArgumentParser:
     does = parser.add_subparsers(
         dest="does",
         required=True,
-        metavar="list | event | alarms | acknowledge | export | notify | backup | restore",
+        metavar="list | event | alarms | acknowledge | export | notify",
     )
     does.add_parser("list", help="each suspension with its trips and maintenance")
     # what people tell the store: maintenance that was done, and alarms that they have seen
@@ -163,11 +161,6 @@ def history_parser() -> ArgumentParser:
     export.add_argument(
         "folder", type=Path, metavar="DIR", help="a new folder, or that of an earlier export [path]"
     )
-    _add_operation(does)
-    return parser
-
-
-def _add_operation(does: Any) -> None:
     notify = does.add_parser("notify", help="send new alarms and digests to people and systems")
     notify.add_argument(
         "rules", type=Path, metavar="FILE", help="recipients and channels [path of a YAML file]"
@@ -178,13 +171,7 @@ def _add_operation(does: Any) -> None:
     notify.add_argument(
         "--retry", action="store_true", help="first make messages due that were given up [switch]"
     )
-    backup = does.add_parser("backup", help="copy the store while programs use it")
-    backup.add_argument("file", type=Path, metavar="FILE", help="the copy [path]")
-    backup.add_argument(
-        "--replace", action="store_true", help="replace an earlier backup of this name [switch]"
-    )
-    restore = does.add_parser("restore", help="copy a backup to STORE, where no file may be")
-    restore.add_argument("file", type=Path, metavar="FILE", help="the backup [path]")
+    return parser
 
 
 def _add_suspension(command: ArgumentParser) -> None:

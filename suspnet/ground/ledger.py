@@ -17,10 +17,9 @@ import errno
 import hashlib
 import json
 import os
-import sqlite3
 import stat
 from collections.abc import Iterator
-from contextlib import closing, suppress
+from contextlib import suppress
 from fnmatch import fnmatch
 from pathlib import Path
 
@@ -232,18 +231,17 @@ def _absolute(path: Path) -> Path:
 MAGIC = b"SQLite format 3\0"
 HEADER_BYTES = 100
 APPLICATION_ID = slice(68, 72)
-USER_VERSION = slice(60, 64)
-"""Positions in the header of two numbers that the application chooses; 0 by default."""
+"""Position in the header of a number that the application chooses; 0 by default."""
 ACTING = "SELECT name FROM sqlite_master WHERE IFNULL(rootpage, 0) = 0"
 """Query for views, triggers and virtual tables, which run code when tables are read or written. Our
 databases have none; in a foreign file they may never end."""
 
 
-def check_own(path: Path, application_id: int, marker: str, name: str) -> None:
+def check_own(path: Path, application_id: int, name: str) -> None:
     """Raise ValueError unless a file is missing, empty or an SQLite database of this program.
 
-    `application_id` is the number in the header of its files; `marker` is a query that returns a
-    row for those without the number. Errors call the file `name`, such as "store of suspnet".
+    `application_id` is the number in the header of its files. Errors call the file `name`, such as
+    "store of suspnet".
     """
     try:
         if not stat.S_ISREG(path.stat().st_mode):
@@ -261,31 +259,7 @@ def check_own(path: Path, application_id: int, marker: str, name: str) -> None:
         return
     why = "is not an SQLite database, or its header is damaged"
     if header.startswith(MAGIC) and len(header) == HEADER_BYTES:
-        why = _why_foreign(path, header, marker)
-    if why:
-        raise ValueError(
-            f"{path}: this file {why}: it is not a {name} and is left unchanged; name another file"
-        )
-
-
-def _why_foreign(path: Path, header: bytes, marker: str) -> str:
-    """Return why a database without our number is foreign; empty if it is ours."""
-    if any(header[APPLICATION_ID]):
-        return "is a database of another application"
-    # immutable: SQLite takes no lock, merges no log and creates no file next to it
-    address = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
-    try:
-        with closing(sqlite3.connect(address, uri=True)) as connection:
-            if connection.execute("SELECT 1 FROM sqlite_master").fetchone() is not None:
-                if connection.execute(ACTING).fetchone() is not None:
-                    return "is a database of another application"
-                has_row = connection.execute(marker).fetchone() is not None
-                return "" if has_row else "is a database of another application"
-    except sqlite3.OperationalError:
-        return "is a database of another application"
-    except sqlite3.DatabaseError as error:
-        return f"cannot be read ({error})"
-    log = path.with_name(f"{path.name}-wal")
-    has_log = log.is_file() and log.stat().st_size > 0
-    is_used = has_log or any(header[USER_VERSION])
-    return "is a database of another application" if is_used else ""
+        why = "is a database of another application"
+    raise ValueError(
+        f"{path}: this file {why}: it is not a {name} and is left unchanged; name another file"
+    )

@@ -164,18 +164,6 @@ def test_new_and_empty_files_become_ours(make, kind, tmp_path):
     assert path.read_bytes()[:15] == b"SQLite format 3"
 
 
-@pytest.mark.parametrize("kind", OPENED)
-def test_files_from_before_they_were_numbered_are_read(kind, tmp_path):
-    path = tmp_path / "old"
-    opened = OPENED[kind][0]
-    opened(path).close()
-    database(path, "PRAGMA application_id = 0")
-    opened(path).close()
-    link = tmp_path / "link"
-    link.symlink_to("old")
-    opened(link).close()
-
-
 ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n)"
 ACTS = {
     "view": (

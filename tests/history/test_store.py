@@ -1,6 +1,5 @@
 """The store keeps trips and events: what is written is read, once, whoever writes at once."""
 
-import json
 import math
 import sqlite3
 from dataclasses import asdict, replace
@@ -13,14 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from trip_records import fleet, trip
 
-from suspnet.ground.parameters import BOGIE_PARTS, Cause, Severity
-from suspnet.ground.records import VALUES, Place, Quality, TripResult
+from suspnet.ground.parameters import Cause, Severity
+from suspnet.ground.records import Place, TripResult
 from suspnet.trains.history import History, HistoryError
-from suspnet.trains.history.overviews import StoredOverview
-from suspnet.trains.history.schema import SCHEMA, suspensions, trips
+from suspnet.trains.history.schema import SCHEMA, suspensions
 from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm
 from suspnet.trains.maintenance.series import Event
-from suspnet.trains.pages.bogie import worn_entries
 
 PLACE = Place("bogie 1, left")
 VEHICLE = "AM96 217"
@@ -29,16 +26,6 @@ ALARMS = [
     Alarm("k_p", Cause.LIMIT, Severity.ACT, 20_000.0, 30_000.0),
     Alarm("c_s", Cause.LIMIT, Severity.ACT, 20_000.0),
 ]
-NEW_COLUMNS = {
-    3: ["wheels"],
-    4: ["sensors"],
-    5: ["direction"],
-    6: ["worn", *(values.format(part) for values in VALUES.values() for part in BOGIE_PARTS)],
-    7: [],
-    8: [],
-    9: [],
-}
-"""Columns of trips that a store of this version lacks and the next one has."""
 SEEN = Acknowledgement("k_p", Cause.CHANGE, Severity.NOTICE, 4e4, "Kim", "2026-11-22T13:00:00Z")
 
 
@@ -213,47 +200,12 @@ def test_a_wrong_event_is_refused(fields, message):
         Event(*fields)
 
 
-@pytest.mark.parametrize("version", NEW_COLUMNS)
-def test_a_store_of_an_older_version_is_brought_to_this_one(version, place, by_hand):
-    before = trip(0, with_curves=False)
-    with History(place) as store:
-        store.write([before])
-    for column in (name for old in range(version, SCHEMA) for name in NEW_COLUMNS[old]):
-        by_hand(sqlalchemy.text(f"ALTER TABLE trips DROP COLUMN {column}"))
-    by_hand(sqlalchemy.text("DROP TABLE overviews"))
-    by_hand(sqlalchemy.text(f"UPDATE suspnet_version SET schema = {version}"))
-    # a text of its time, and a finding of a kind that is gone
-    gone = {"kind": "no-part-named", "values": {"words": "short"}, "text": "no part: short"}
-    was = {"faults": "bogie left: loose from 1 s", "warnings": json.dumps(gone)}
-    was |= {"worn": "damper of axle 2, left at 62 % of healthy"} if version > 6 else {}
-    by_hand(trips.update().values(was))
-    for _ in range(2):
-        with History(place, must_exist=True) as store:
-            (found,) = store.read(before.vehicle, before.place)
-            assert found.quality.faults == was["faults"]
-            assert found.quality.warnings == "no part: short"
-            assert found.worn == was.get("worn", "")
-            assert worn_entries(found.worn) == []
-            texts = {name: getattr(before.quality, name) for name in ("faults", "warnings")}
-            quality = replace(found.quality, **texts)
-            assert same(replace(found, worn="", quality=quality), before)
-    estimates = before.estimates | dict.fromkeys(BOGIE_PARTS, 0.9)
-    quality = Quality(wheels="order 2", sensors="{}", direction="forward")
-    after = replace(before, estimates=estimates, worn="k_s left", quality=quality)
-    with History(place) as store:
-        store.write([after])
-        assert same(store.read(before.vehicle, before.place)[0], after)
-        overview = {(before.vehicle, before.place): StoredOverview(1, "settings", "{}")}
-        store.keep_overviews(overview)
-        assert store.overviews(overview) == overview
-
-
 @pytest.mark.parametrize(
     ("statement", "message"),
     [
         (
-            "UPDATE suspnet_version SET schema = 99",
-            f"a store of version 99, this suspnet reads version {SCHEMA}",
+            f"UPDATE suspnet_version SET schema = {SCHEMA - 1}",
+            f"a store of version {SCHEMA - 1}, this suspnet reads version {SCHEMA}",
         ),
         ("CREATE TABLE trips (id INTEGER)", "not a store of suspnet"),
     ],

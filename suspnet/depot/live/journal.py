@@ -25,8 +25,6 @@ from suspnet.ground.storage import DamagedFileError, dump_arrays, load_arrays
 
 FORMAT, STATE_FORMAT = "suspnet-journal-2", "suspnet-stream-1"
 APPLICATION_ID = 0x7375736A  # SQLite application id, by which a journal is recognised
-MARKER = "SELECT 1 FROM format WHERE name LIKE 'suspnet-journal-%'"
-"""Query that returns a row for any journal."""
 RANGE = 2**40  # frame numbers of a suspension: enough for 8,000 years at four frames a second
 PAGE_BYTES = 2**14  # a frame of 1 s takes one or two pages
 
@@ -55,7 +53,7 @@ class Journal:
         if not path.absolute().parent.is_dir():
             raise JournalError(f"{path}: there is no folder {path.absolute().parent}")
         try:
-            check_own(path, APPLICATION_ID, MARKER, "journal of a monitor")
+            check_own(path, APPLICATION_ID, "journal of a monitor")
         except ValueError as error:
             raise JournalError(str(error)) from None
         self._connection = sqlite3.connect(path, timeout=1.0, isolation_level=None)

@@ -91,9 +91,7 @@ def suspensions(view: FleetView, query: models.OfFleet) -> Iterable[Row]:
 @_answers("/suspensions/<id>/parts", models.Paged, models.PartAnswer)
 def parts(view: FleetView, query: models.Paged, index: int) -> Iterable[Row]:
     """List the parameters of a suspension, or the parts of its bogie where each is read."""
-    state = current_refresher().board.whole(view.states[index])
-    if state is None:
-        abort(404, "There is no such suspension in this history.")
+    state = view.states[index]
     return (_part(state, own) for own in state.assessments if own.parameter != BODY_MASS)
 
 

@@ -38,7 +38,6 @@ from suspnet.trains.history.store import acknowledge_alarms
 from suspnet.trains.maintenance.alarms import Alarm, newest_of
 from suspnet.trains.maintenance.plan import joined, place_of
 from suspnet.trains.maintenance.state import State
-from suspnet.trains.pages.board import clock
 from suspnet.trains.pages.bogie import bogie_of, bogies_shown, small_figures, visits_of
 from suspnet.trains.pages.overview import FleetView, finding, overview_row
 from suspnet.trains.pages.tables import files_read_as, sensor_rows, trip_table
@@ -84,12 +83,7 @@ def fleet() -> ResponseReturnValue:
         trains=_tiles_of_trains(view, chosen),
         alarms=alarms[:MAX_ROWS],
         n_alarms=len(alarms),
-        rows=[
-            view.rows[i]
-            | {"address": _address(view.names[i])}
-            | ({"kept_at": clock(at)} if (at := view.kept_at.get(view.names[i])) else {})
-            for i in chosen[:MAX_ROWS]
-        ],
+        rows=[view.rows[i] | {"address": _address(view.names[i])} for i in chosen[:MAX_ROWS]],
         n_rows=len(chosen),
         parameters=OUTPUTS,
         plan=view.plan,
@@ -265,10 +259,7 @@ def _state(name: str) -> State:
     view = _view()
     if name not in view.keys:
         abort(404, gettext("There is no such suspension in this history."))
-    state = current_refresher().board.whole(view.states[view.keys[name]])
-    if state is None:
-        abort(404, gettext("There is no such suspension in this history."))
-    return state
+    return view.states[view.keys[name]]
 
 
 def _figured(state: State) -> list[str]:

@@ -17,7 +17,7 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, SQLAlch
 from suspnet.ground.extras import install_command
 from suspnet.ground.findings import at
 from suspnet.ground.ledger import ACTING, check_own
-from suspnet.trains.history.schema import OLDEST, SCHEMA, metadata, versions
+from suspnet.trains.history.schema import SCHEMA, metadata, versions
 
 log = logging.getLogger(__name__)
 WAIT_S = 60.0
@@ -30,8 +30,6 @@ DAMAGED = (
     "{name}: the store is damaged ({words}); put a copy in its place, or evaluate the trips again "
     "into a new one"
 )
-MARKER = f"SELECT 1 FROM {versions.name}"
-"""Query that returns a row if a database is a store."""
 READS = "suspnet_reads"
 """Execution option of read-only connections, for which SQLite takes no write lock."""
 LOCK = 0x73757370
@@ -91,7 +89,7 @@ def connect(url: URL, wait_s: float = WAIT_S, *, must_exist: bool = False) -> En
     if must_exist and not path.exists():
         raise HistoryError(at(url.database, "store-missing"))
     try:
-        check_own(Path(url.database), APPLICATION_ID, MARKER, "store of suspnet")
+        check_own(Path(url.database), APPLICATION_ID, "store of suspnet")
     except ValueError as error:
         raise HistoryError(str(error)) from None
     # SQLite itself must not make a file that has gone since
@@ -140,11 +138,11 @@ def reading(engine: Engine) -> Engine:
     return engine.execution_options(isolation_level="REPEATABLE READ", postgresql_readonly=True)
 
 
-def version_of(connection: Connection, name: str) -> int | None:
-    """Return the version of the tables of a store, None if there are none yet.
+def has_tables(connection: Connection, name: str) -> bool:
+    """Return whether the tables of a store are there.
 
-    HistoryError, whose message starts with `name`, is raised if they are of a version that cannot
-    be brought to this one, or of another application.
+    HistoryError, whose message starts with `name`, is raised if they are of another version or of
+    another application.
     """
     is_file = connection.dialect.name == "sqlite"
     if is_file and connection.exec_driver_sql(ACTING).first() is not None:
@@ -153,26 +151,21 @@ def version_of(connection: Connection, name: str) -> int | None:
     if versions.name not in tables:
         if tables & set(metadata.tables):
             raise HistoryError(at(name, "store-foreign"))
-        return None
+        return False
     version = connection.execute(sql.select(versions.c.schema)).scalar()
-    if not isinstance(version, int) or not OLDEST <= version <= SCHEMA:
+    if version != SCHEMA:
         raise HistoryError(at(name, "store-version", version=version, schema=SCHEMA))
-    return version
+    return True
 
 
 def prepare(connection: Connection, name: str) -> None:
-    """Create the tables, or those that an older version lacks; errors as in ``version_of``.
+    """Create the tables; errors as in ``has_tables``.
 
     Nothing is done if another program has just done so.
     """
     if connection.dialect.name == "postgresql":  # two programs may create them concurrently
         connection.execute(sql.select(sql.func.pg_advisory_xact_lock(LOCK)))
-    version = version_of(connection, name)
-    if version == SCHEMA:
-        return
-    if version is not None:
-        _add_missing(connection)
-        connection.execute(versions.update().values(schema=SCHEMA))
+    if has_tables(connection, name):
         return
     if connection.dialect.name == "sqlite":
         connection.exec_driver_sql(f"PRAGMA application_id = {APPLICATION_ID}")
@@ -180,21 +173,6 @@ def prepare(connection: Connection, name: str) -> None:
         log.warning("%s: new tables of a store, next to %d other tables", name, len(others))
     metadata.create_all(connection)
     connection.execute(versions.insert().values(schema=SCHEMA))
-
-
-def _add_missing(connection: Connection) -> None:
-    """Add the tables and columns that an older version lacks; a missing text is empty."""
-    metadata.create_all(connection)
-    inspector = sql.inspect(connection)
-    quote = connection.dialect.identifier_preparer.quote
-    for table in metadata.tables.values():
-        names = {column["name"] for column in inspector.get_columns(table.name)}
-        for column in table.columns:
-            if column.name not in names:
-                kind = column.type.compile(connection.dialect)
-                default = " DEFAULT ''" if isinstance(column.type, sql.String) else ""
-                added = f"{quote(column.name)} {kind}{default}"
-                connection.exec_driver_sql(f"ALTER TABLE {quote(table.name)} ADD COLUMN {added}")
 
 
 def error_of(error: SQLAlchemyError | UnicodeDecodeError, name: str) -> HistoryError:

@@ -44,8 +44,8 @@ _LOGGED: set[str] = set()
 """Bad rows that this process has logged: a program that polls a store reads them often."""
 KINDS: dict[type, Any] = {sql.String: str, sql.Double: (int, float), sql.Integer: int}
 """Python types of values by column type; SQLite itself accepts any value in any column."""
-SCHEMA, OLDEST = 10, 3
-"""Version of the tables, and the oldest that is brought to it; a store of any other is refused."""
+SCHEMA = 11
+"""Version of the tables; a store of any other is refused."""
 
 metadata = sql.MetaData()
 Kind = type[sql.types.TypeEngine[Any]]
@@ -86,7 +86,6 @@ trips = Table(
     *(Column(name, Double) for name in NUMBERS),
     *(Column(column.format(name), Double) for column in VALUES.values() for name in ESTIMATED),
     *_needed(**dict.fromkeys(TEXTS, String)),
-    Column("sides", String, nullable=False, default=""),  # of earlier versions, not read any more
     *(Column(name, QUALITY[kind]) for name, kind in QUALITY_TYPES.items()),
     Column("key", LargeBinary(16), nullable=False),
     sql.UniqueConstraint("suspension_id", "key"),
@@ -151,15 +150,6 @@ told = Table(
     *_needed(severity=Integer, at_km=Double, is_open=Integer),
 )
 """The last alarm of each parameter and cause that is in a message to a recipient, up to `at_km`."""
-
-overviews = Table(
-    "overviews",
-    metadata,
-    _suspension(primary_key=True),
-    Column("revision", sql.BigInteger, nullable=False),
-    *_needed(fingerprint=String, content=String),
-)
-"""What the page of the fleet shows of a suspension: a cache, from which no trip is restored."""
 
 
 @dataclass(frozen=True)

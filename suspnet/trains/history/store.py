@@ -31,15 +31,13 @@ from suspnet.trains.history.database import (
     connect,
     database_url,
     error_of,
+    has_tables,
     prepare,
     reading,
     upsert,
-    version_of,
 )
 from suspnet.trains.history.outbox import Outbox
-from suspnet.trains.history.overviews import StoredOverview, overview_row, read_overviews
 from suspnet.trains.history.schema import (
-    SCHEMA,
     TABLES,
     BadRow,
     Stored,
@@ -49,7 +47,6 @@ from suspnet.trains.history.schema import (
     is_one_of,
     known_suspensions,
     log_once,
-    overviews,
     read_stored,
     result_of,
     row_of,
@@ -88,9 +85,9 @@ class History:
         self._engine = connect(self._url, wait_s, must_exist=must_exist)
         try:
             with self._reading() as connection:
-                version = version_of(connection, str(self))
-            if version != SCHEMA:
-                if must_exist and version is None:
+                is_empty = not has_tables(connection, str(self))
+            if is_empty:
+                if must_exist:
                     raise HistoryError(at(self, "store-empty"))
                 with self._writing() as connection:
                     prepare(connection, str(self))
@@ -230,11 +227,8 @@ class History:
         """Replace the stored alarms of a suspension."""
         self.keep_all_alarms({(vehicle, place): new_alarms})
 
-    def keep_all_alarms(self, of_each: Mapping[Key, Sequence[Alarm]]) -> set[Key]:
-        """Replace the stored alarms of suspensions; those with the same alarms are not written.
-
-        Returns the suspensions with other alarms, whose revisions were incremented.
-        """
+    def keep_all_alarms(self, of_each: Mapping[Key, Sequence[Alarm]]) -> None:
+        """Replace the stored alarms of suspensions; those with the same alarms are not written."""
         with self._writing() as connection:
             ids = self._numbers(connection, of_each)
             before: dict[int, list[dict[str, Any]]] = {number: [] for number in ids.values()}
@@ -251,7 +245,6 @@ class History:
             _raise_revisions(connection, changed)
             connection.execute(alarms.delete().where(is_one_of(alarms.c.suspension_id, changed)))
             upsert(connection, alarms, [row for number in changed for row in rows[number]])
-        return {key for key, number in ids.items() if number in changed}
 
     def alarms(self, vehicle: str, place: Place) -> list[Alarm]:
         """Return the alarms of a suspension, active or cleared, by the mileage where they start."""
@@ -260,18 +253,6 @@ class History:
     def all_alarms(self) -> dict[Key, list[Alarm]]:
         """Return the alarms of each suspension that has any."""
         return self._read(Alarm)
-
-    def keep_overviews(self, of_each: Mapping[Key, StoredOverview]) -> None:
-        """Store the overviews of suspensions; their revisions stay the same."""
-        with self._writing() as connection:
-            ids = self._numbers(connection, of_each)
-            rows = [overview_row(number, of_each[key]) for key, number in ids.items()]
-            upsert(connection, overviews, rows)
-
-    def overviews(self, keys: Iterable[Key]) -> dict[Key, StoredOverview]:
-        """Return the stored overview of each of some suspensions that has one."""
-        with self._reading() as connection:
-            return read_overviews(connection, set(keys))
 
     def acknowledge(self, vehicle: str, place: Place, seen: Sequence[Acknowledgement]) -> None:
         """Store acknowledgements of alarms; the text of an existing one is replaced."""

@@ -8,7 +8,6 @@ from suspnet.trains.history.database import check_exists
 from suspnet.trains.maintenance.plan import plan_of
 from suspnet.trains.maintenance.state import State, fleet_state
 from suspnet.trains.pages.board import BoardSettings
-from suspnet.trains.pages.kept import keep_overviews
 from suspnet.trains.pages.maintenance_figures import plan_calendar
 from suspnet.trains.pages.output import write_fleet
 from suspnet.trains.pages.overview import fleet_view, overview_table
@@ -30,20 +29,12 @@ def write_maintenance(history: History, folder: Path, settings: BoardSettings) -
     Returns the states, the worst first. HistoryError if the store cannot be used; ValueError if it
     is empty.
     """
-    revisions = history.revisions()  # before the trips: those that come later raise them
     fleet = history.series()
     if not fleet:
         raise ValueError(f"{history}: no trip is stored here yet")
     own = {series.vehicle: settings.limits_of(series.vehicle) for series in fleet}
     states = fleet_state(fleet, own, settings.changes, settings.seed)
-    changed = history.keep_all_alarms({state.key: state.watched.alarms for state in states})
-    bad = {row.key for row in history.bad_rows}
-    keep_overviews(
-        history,
-        [state for state in states if state.key not in bad and state.key in revisions],
-        {key: revision + (key in changed) for key, revision in revisions.items()},
-        settings.fingerprint,
-    )
+    history.keep_all_alarms({state.key: state.watched.alarms for state in states})
     acknowledged = history.all_acknowledgements()
     planned = plan_of(states, settings.plan, settings.day())
     view = fleet_view(states, acknowledged, planned)

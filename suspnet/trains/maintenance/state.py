@@ -1,12 +1,9 @@
 """State of a suspension, of which all outputs are made: alarms, assessments, remaining lives."""
 
 import math
-import time
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import datetime
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -254,22 +251,6 @@ def by_urgency(states: Iterable[State]) -> list[State]:
     return sorted(states, key=order)
 
 
-class KeptState(State):
-    """What overview and plan show of a suspension, restored from a store without its trips.
-
-    `at` is when it was computed, `row` its row of the overview, `bogie` its drawn parts. `values`
-    are the properties of ``State`` that are known; any other one raises AttributeError.
-    """
-
-    def __init__(self, at: datetime, row: dict[str, Any], bogie: Any, **values: Any) -> None:
-        # a frozen dataclass is filled by its dictionary, in which cached properties find values
-        self.__dict__.update(values, at=at, row=row, bogie=bogie)
-
-    at: datetime
-    row: dict[str, Any]
-    bogie: Any
-
-
 MOST_RATIO = 100.0
 MOST_WIDTH = 1.0
 """Factor from healthy, and half-width in logarithms, beyond which a trip is not used."""
@@ -321,77 +302,26 @@ def trips_of_life(recent: Series, name: str) -> tuple[FloatArray, FloatArray, Fl
     return km[used], centre[used], np.where(np.isfinite(width), width, np.nan)[used]
 
 
-class FleetStates:
-    """Alarms and remaining lives of the suspensions of a fleet, each by its own trips.
+def state_of(
+    series: Series,
+    limits: Mapping[str, Mapping[str, Limits]],
+    changes: ChangeSettings,
+    seed: int = 0,
+) -> State:
+    """Return alarms and remaining lives of a suspension, by its own trips.
 
     `limits` maps vehicles to the limits of their parameters; a missing vehicle has
     ``DEFAULT_LIMITS``. `seed` is that of the predicted lives.
     """
-
-    def __init__(
-        self, limits: Mapping[str, Mapping[str, Limits]], changes: ChangeSettings, seed: int = 0
-    ) -> None:
-        self.limits = limits
-        self.changes = changes
-        self.seed = seed
-        self._states: dict[Key, State] = {}
-        self._waiting: set[Key] = set()
-
-    def keys(self) -> set[Key]:
-        """Return vehicle and place of each suspension."""
-        return set(self._states)
-
-    def get(self, key: Key) -> State | None:
-        """Return the state of a suspension, None if it is unknown."""
-        return self._states.get(key)
-
-    def update(self, several: Iterable[Series], gone: Collection[Key] = ()) -> set[Key]:
-        """Add or replace suspensions, remove those in `gone`, and recompute alarms.
-
-        Returns the keys of the suspensions whose alarms were recomputed, which are those whose
-        trips or maintenance changed.
-        """
-        for key in gone:
-            self._states.pop(key, None)
-            self._waiting.discard(key)
-        changed = set()
-        for series in several:
-            before = self._states.get(series.key)
-            if before is None or not before.series.equals(series):
-                limits = self.limits.get(series.vehicle, DEFAULT_LIMITS)
-                watched = watch(series, limits, self.changes)
-                self._states[series.key] = State(series, limits, watched)
-                changed.add(series.key)
-        self._waiting |= changed
-        return changed
-
-    def predict(self, seconds: float = np.inf) -> bool:
-        """Predict the remaining lives that are out of date.
-
-        It stops after `seconds` [s] and continues when called again. Returns whether all are up to
-        date.
-        """
-        end = time.monotonic() + seconds
-        for key in sorted(self._waiting, key=lambda key: (key[0], str(key[1]))):
-            self._states[key] = with_lives(self._states[key], self.seed)
-            self._waiting.discard(key)
-            if time.monotonic() > end:
-                break
-        return not self._waiting
-
-    def states(self) -> list[State]:
-        """Return the state of each suspension, by severity, then by remaining life."""
-        return by_urgency(self._states.values())
+    own = limits.get(series.vehicle, DEFAULT_LIMITS)
+    return with_lives(State(series, own, watch(series, own, changes)), seed)
 
 
 def fleet_state(
     several: Sequence[Series],
     limits: Mapping[str, Mapping[str, Limits]],
-    settings: ChangeSettings,
+    changes: ChangeSettings,
     seed: int = 0,
 ) -> list[State]:
-    """Return the state of each suspension, most severe first; see ``FleetStates``."""
-    fleet = FleetStates(limits, settings, seed)
-    fleet.update(several)
-    fleet.predict()
-    return fleet.states()
+    """Return ``state_of`` each suspension, most severe first."""
+    return by_urgency(state_of(series, limits, changes, seed) for series in several)

@@ -2,24 +2,19 @@
 
 import logging
 import threading
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import UTC, date, datetime
-from functools import cache
 from pathlib import Path
 from typing import Any
-from weakref import WeakKeyDictionary
 
-from suspnet._version import __version__
 from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import DEFAULT_LIMITS, Limits, read_limits
 from suspnet.ground.records import Key
-from suspnet.ground.storage import content_hash
 from suspnet.trains.history import History, HistoryError
 from suspnet.trains.maintenance.change import ChangeSettings
 from suspnet.trains.maintenance.plan import Plan, PlanSettings, plan_of
-from suspnet.trains.maintenance.state import FleetStates, KeptState, State, by_urgency, fleet_state
-from suspnet.trains.pages.kept import keep_overviews, kept_state
+from suspnet.trains.maintenance.state import State, by_urgency, state_of
 from suspnet.trains.pages.overview import FleetView, fleet_view
 
 log = logging.getLogger(__name__)
@@ -59,18 +54,12 @@ class BoardSettings:
         """Return the limits of a vehicle by its name; ValueError if `limits` cannot be read."""
         return read_limits(self.limits or {}, self.vehicles.get(vehicle, DEFAULT_LIMITS))
 
-    def fingerprint(self, vehicle: str) -> str:
-        """Return a hash of the program and of what the states of a vehicle depend on."""
-        limits = {name: (own.notice, own.act) for name, own in self.limits_of(vehicle).items()}
-        return content_hash([__version__, limits, asdict(self.changes), self.seed])
-
 
 class Board:
     """The current state of a fleet, updated from a history.
 
-    Only suspensions whose revision in the store changed are read and recomputed. Their overviews
-    are stored, and shown at once by the next board; without them a long refresh shows more
-    suspensions from time to time. Alarms are stored by the evaluation of the trips.
+    Only suspensions whose revision in the store changed are read and recomputed; a long refresh
+    shows more of them from time to time. Alarms are stored by the evaluation of the trips.
 
     `store` is the file or URL of the history; a file may be created later.
     """
@@ -79,9 +68,7 @@ class Board:
         self.store = store
         self.settings = settings
         self._limits: dict[str, Mapping[str, Limits]] = {}
-        self._fleet = FleetStates(self._limits, settings.changes, settings.seed)
-        self._kept: dict[Key, KeptState] = {}
-        self._whole: WeakKeyDictionary[KeptState, State | None] = WeakKeyDictionary()
+        self._states: dict[Key, State] = {}
         self._view = FleetView()
         self._revisions: dict[Key, int] = {}
         self._plan: Plan | None = None
@@ -89,7 +76,7 @@ class Board:
         self._is_due = True
         self._file: tuple[int, int] | None = None
         self._is_doubted = False
-        self._lock, self._whole_lock = threading.Lock(), threading.Lock()
+        self._lock = threading.Lock()
 
     @property
     def view(self) -> FleetView:
@@ -115,23 +102,6 @@ class Board:
                     self._view = replace(self._view, version=version, trouble=str(error))
             return self._view is not before
 
-    def whole(self, state: State) -> State | None:
-        """Return a state of the view with all its trips; None if these are gone.
-
-        It is computed if it was restored from the store. HistoryError if that cannot be used.
-        """
-        if not isinstance(state, KeptState):
-            return state
-        with self._whole_lock:  # a page and its figures ask for it concurrently
-            if state not in self._whole:
-                vehicle, _ = state.key
-                with History(self.store, wait_s=LOOK_S, must_exist=True) as history:
-                    series = history.series([state.key])
-                own = {vehicle: self.settings.limits_of(vehicle)}
-                states = fleet_state(series, own, self.settings.changes, self.settings.seed)
-                self._whole[state] = next(iter(states), None)
-            return self._whole[state]
-
     def _refresh(self, history: History) -> None:
         revisions, day, file = history.revisions(), self.settings.day(), file_number(self.store)
         self._is_due |= day != self._day
@@ -146,7 +116,7 @@ class Board:
             self._read(history, revisions, changed)
         self._file, self._is_doubted = file, False
         if self._is_due:
-            states = self._states()
+            states = by_urgency(self._states.values())
             self._plan = plan_of(states, self.settings.plan, day)
             self._show(history, states)
             self._day, self._is_due = day, False
@@ -155,17 +125,14 @@ class Board:
             or history.all_acknowledgements() != self._view.acknowledged
             or {*history.bad_rows} != {*self._view.bad_rows}
         ):
-            self._show(history, self._states())
+            self._show(history, by_urgency(self._states.values()))
 
     def _read(self, history: History, revisions: dict[Key, int], changed: list[Key]) -> None:
-        """Restore or compute the states of suspensions whose trips changed."""
+        """Compute the states of suspensions whose trips changed."""
         if self._view.bad_rows or {*changed} - self._revisions.keys():
             history.all_alarms()  # rows of alarms that cannot be read are shown
-        self._forget((self._fleet.keys() | self._kept.keys()) - revisions.keys())
-        is_first = not self._revisions
-        waiting = {*changed} - self._restore(history, revisions, changed)
-        if is_first and self._kept and waiting:
-            self._show(history, self._states(), waiting)
+        self._forget(self._states.keys() - revisions.keys())
+        waiting = {*changed}
         due = sorted(waiting, key=lambda key: (key[0], str(key[1])))
         # in parts: an SQLite file cannot be written while it is read
         n_shown = AT_ONCE
@@ -173,33 +140,11 @@ class Board:
             keys = due[begin : begin + AT_ONCE]
             self._compute(history, keys)
             self._revisions |= {key: revisions[key] for key in keys}
-            self._keep(history, keys)
             waiting -= {*keys}
             # each time that twice as many are computed, as a view of all takes long as well
             if waiting and begin + AT_ONCE >= n_shown:
-                self._show(history, self._states(), waiting)
+                self._show(history, by_urgency(self._states.values()), waiting)
                 n_shown *= 2
-
-    def _restore(
-        self, history: History, revisions: Mapping[Key, int], changed: Sequence[Key]
-    ) -> set[Key]:
-        """Take stored overviews of suspensions not computed yet; return those that are current."""
-        current, fingerprint = set(), cache(self.settings.fingerprint)
-        computed = self._fleet.keys() | {row.key for row in history.bad_rows}
-        missing = [key for key in changed if key not in computed]
-        overviews = history.overviews(missing) if missing else {}
-        for key, overview in overviews.items():
-            try:
-                state, expected = kept_state(key, overview.content), fingerprint(key[0])
-            except ValueError as error:  # damaged, or inconsistent limits: it is computed
-                log.debug("%s: %s: %s", history, key, error)
-                continue
-            self._kept[key] = state
-            if (overview.revision, overview.fingerprint) == (revisions[key], expected):
-                current.add(key)
-                self._revisions[key] = revisions[key]
-        self._is_due |= bool(current)
-        return current
 
     def _compute(self, history: History, keys: Sequence[Key]) -> None:
         series = history.series(keys)
@@ -209,30 +154,18 @@ class Board:
             except ValueError as error:  # of a vehicle that is not in the settings
                 raise HistoryError(f"{history}: vehicle {vehicle}: {error}") from None
         self._forget({*keys} - {own.key for own in series})
-        self._is_due |= bool(self._fleet.update(series))
-        self._fleet.predict()
         for own in series:
-            self._is_due |= self._kept.pop(own.key, None) is not None
-
-    def _keep(self, history: History, keys: Iterable[Key]) -> None:
-        """Store the overviews of computed states, if the store can be written."""
-        bad = {row.key for row in history.bad_rows}  # these are read each time
-        states = [state for key in keys if (state := self._fleet.get(key)) and key not in bad]
-        try:
-            keep_overviews(history, states, self._revisions, self.settings.fingerprint)
-        except HistoryError as error:
-            log.debug("%s", error)
+            before = self._states.get(own.key)
+            if before is None or not before.series.equals(own):
+                changes, seed = self.settings.changes, self.settings.seed
+                self._states[own.key] = state_of(own, self._limits, changes, seed)
+                self._is_due = True
 
     def _forget(self, keys: Collection[Key]) -> None:
         self._is_due |= bool(keys)
-        self._fleet.update([], keys)
         for key in keys:
-            self._kept.pop(key, None)
+            self._states.pop(key, None)
             self._revisions.pop(key, None)
-
-    def _states(self) -> list[State]:
-        states = self._fleet.states()
-        return by_urgency([*states, *self._kept.values()]) if self._kept else states
 
     def _show(
         self, history: History, states: Sequence[State], waiting: Collection[Key] = ()

@@ -84,7 +84,7 @@ def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
 def _short(worn: str) -> str:
     """Return a worn part in the few characters that a table has for it."""
     if not isinstance(worn, Finding):
-        return worn  # of a history of an earlier version
+        return worn  # of a kind that is not known any more
     names = worn.values["names"]
     name = names[0] if len(names) == 1 else f"one of {len(names)} parts"
     return f"{name} {worn.values['percent']:.0f} %"

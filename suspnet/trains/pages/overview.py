@@ -14,10 +14,10 @@ from suspnet.ground.parameters import Severity, part_words
 from suspnet.ground.records import OK, PLACE_FROM_TRAIN, Key, Place, TripResult
 from suspnet.ground.storage import content_hash
 from suspnet.trains.history.schema import BadRow
-from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm, newest_of
+from suspnet.trains.maintenance.alarms import Acknowledgement, newest_of
 from suspnet.trains.maintenance.plan import Plan
 from suspnet.trains.maintenance.series import make_series
-from suspnet.trains.maintenance.state import KeptState, State
+from suspnet.trains.maintenance.state import State
 from suspnet.trains.pages.failing_sensors import dead_words, sensor_words
 
 REPORT = "report.html"
@@ -71,9 +71,8 @@ class FleetView:
     `states` are sorted by severity, then by life, and `rows` are their ``overview_rows``. `plan` is
     None until remaining lives are computed. `names` are the ``address`` of each suspension, and
     `keys` its index by this name. `is_complete` is whether alarms, lives and plan cover all trips;
-    those of `n_waiting` suspensions are still to be evaluated. `kept_at` is when the state of such
-    a suspension was computed, by its name, if an earlier one is shown. `trouble` states why the
-    store could not be read the last time; `bad_rows` cannot be read and are left out.
+    those of `n_waiting` suspensions are still to be evaluated. `trouble` states why the store could
+    not be read the last time; `bad_rows` cannot be read and are left out.
     """
 
     version: int = 0
@@ -86,7 +85,6 @@ class FleetView:
     acknowledged: Mapping[Key, Sequence[Acknowledgement]] = field(default_factory=dict)
     is_complete: bool = False
     n_waiting: int = 0
-    kept_at: Mapping[str, datetime] = field(default_factory=dict)
     trouble: str = ""
     bad_rows: tuple[BadRow, ...] = ()
 
@@ -121,11 +119,6 @@ def fleet_view(
         acknowledged=acknowledged,
         is_complete=is_complete,
         n_waiting=len(waiting),
-        kept_at={
-            name: state.at
-            for name, state in zip(names, states, strict=True)
-            if isinstance(state, KeptState) and state.key in waiting
-        },
         bad_rows=tuple(bad_rows),
     )
 
@@ -149,11 +142,6 @@ def overview_row(
     """Return the row of a suspension."""
     worst = next(iter(state.alarms), None)
     seen = worst and newest_of(worst, acknowledged.get(state.key, ()))
-    row = state.row if isinstance(state, KeptState) else _row(state, worst)
-    return row | {"acknowledged": f"{seen.by}, {seen.at[:10]}" if seen else ""}
-
-
-def _row(state: State, worst: Alarm | None) -> dict[str, Any]:
     series, shortest = state.series, state.shortest
     has_finding = state.severity > Severity.NONE  # the reasons of the others are not shown
     life = shortest and (*shortest[1].interval_km(), shortest[1].quantile_km(0.5))
@@ -168,7 +156,7 @@ def _row(state: State, worst: Alarm | None) -> dict[str, Any]:
         "sensors": sensor_words(state),
         "since_km": worst.begin_km if worst else np.nan,
         "n_alarms": len(state.alarms),
-        "acknowledged": "",
+        "acknowledged": f"{seen.by}, {seen.at[:10]}" if seen else "",
         "life_parameter": shortest[0] if shortest else "",
         "life_low_km": low,
         "life_median_km": median,
