@@ -16,7 +16,7 @@ from suspnet.ground.parameters import SIDES
 from suspnet.ground.storage import read_json
 from suspnet.trains.recordings.manifest import CHANNELS
 from suspnet.trains.recordings.manifest_files import read_manifest
-from suspnet.trains.simulation.fleet import Fleet, Scenario, Trains
+from suspnet.trains.simulation.fleet import EFFECTS, Fleet, Scenario, Trains
 from suspnet.trains.simulation.signals import profile_length_m, simulate_trip, steady_journey
 from suspnet.trains.simulation.true_vehicle import scattered, true_numbers, with_separate_parts
 from suspnet.trains.simulation.writing import Simulation, write_fleet, write_trains
@@ -53,9 +53,10 @@ def signals_of(path):
 # reference
 
 
+@pytest.mark.parametrize("effects", [(), EFFECTS])
 @pytest.mark.parametrize("direction", ["forward", "reverse"])
-def test_waves_of_each_input_reach_the_sensors_as_the_channels_say(direction):
-    vehicle = with_separate_parts(FAMILY).running(direction)
+def test_waves_of_each_input_reach_the_sensors_as_the_channels_say(direction, effects):
+    vehicle = scattered(with_separate_parts(FAMILY, effects), 1.0, seed=3).running(direction)
     system, journey, rate_hz = vehicle.motion_system(WORN), steady_journey(SPEED, 40.0), 500.0
     met = np.array([[0.9, 3.1, 8.0], [1.2, 5.0, 9.1], [1.6, 4.2, 7.3]])  # mean, cross, alignment
     tracks = [waves(profile_length_m(system, journey), SPEED, f) for f in met]
@@ -126,6 +127,25 @@ def test_healthy_parts_of_a_kind_differ_by_5_percent():
     # 96 draws: standard errors 0.0051 and 0.0036
     assert abs(logs.mean()) < 0.02
     assert logs.std() == pytest.approx(0.05, abs=0.0145)
+
+
+def test_effects_of_a_scenario_are_among_the_true_numbers(tmp_path):
+    flexible = Scenario("flexible", effects=EFFECTS, mass_low=1.0, mass_high=1.0)
+    assert flexible.by_part
+    (path,) = write_fleet(tmp_path, simulation(flexible, n_trips=1))
+    assert set(read_manifest(path).truth) == set(COMPONENTS)
+    truth = read_json(tmp_path / "truth.json")
+    assert set(EFFECTS) <= set(truth["parts"])
+    numbers = {name: number["value"] for name, number in truth["numbers"].items()}
+    assert 0 < numbers["track_compliance"] < 4e-8
+    assert 0 < abs(numbers["cross_axis_body_left"]) < 0.04
+    assert 9 < numbers["second_frequency"] < 18
+    assert 0 < numbers["equipment_share"] < 0.4
+    other = signals_of(write_fleet(tmp_path / "plain", simulation(n_trips=1))[0])
+    # the same track, though not on the same vehicle
+    ratio = signals_of(path).std(axis=1) / other.std(axis=1)
+    assert (abs(ratio - 1) > 0.01).all()
+    assert ((ratio > 0.3) & (ratio < 3)).all()
 
 
 def test_settings_of_a_fleet_hold_for_parts(tmp_path):

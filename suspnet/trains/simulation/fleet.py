@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from typing import Annotated, Any, Literal
@@ -22,12 +22,15 @@ from suspnet.ground.parameters import (
     kind_of,
 )
 from suspnet.ground.records import Place
-from suspnet.ground.settings import Setting, check_number, check_settings, setting
+from suspnet.ground.settings import Setting, check_choice, check_number, check_settings, setting
 from suspnet.ground.types import FloatArray
 from suspnet.trains.recordings.manifest import CHANNELS
 from suspnet.trains.simulation.signals import Journey, Sensor, service_journey, steady_journey
 from suspnet.vehicle.track import track_spectrum
 
+EFFECTS = ("track", "cross_axis", "torsion", "second_bending", "body_torsion", "equipment")
+"""Parts of ``SpatialVehicle`` that a scenario may add: a track on ballast, which gives way under
+the wheelsets, sensors that read a share of the lateral motion, and flexible modes."""
 FIRST_DAY = datetime(2015, 8, 3, 6, tzinfo=UTC)
 """Start of the first trip of the first train, a whole multiple of 20 minutes since 1970."""
 HEADWAY = timedelta(minutes=20)
@@ -137,7 +140,12 @@ class Scenario:
     by_part: bool = setting(
         False,
         "Whether each spring and damper of the bogie is a part of its own, with 5 % of scatter; "
-        "it is where changes name one",
+        "it is where changes name one, or with effects",
+    )
+    effects: Sequence[str] = setting(
+        (),
+        "What the vehicle has beyond the parts of the generator, with numbers of its own",
+        rule=f"list of {', '.join(EFFECTS)}",
     )
 
     def __post_init__(self) -> None:
@@ -161,7 +169,9 @@ class Scenario:
             check_number(f"{where}.ratio", change["ratio"], above=0)
             if change["from_km"] > change["to_km"]:
                 raise ValueError(f"`{where}`: need from_km <= to_km, got {dict(change)}")
-        if set(self.changes) & set(BOGIE_PARTS):
+        for effect in self.effects:
+            check_choice("scenario.effects", effect, EFFECTS)
+        if self.effects or set(self.changes) & set(BOGIE_PARTS):
             object.__setattr__(self, "by_part", True)
 
     @property

@@ -1,6 +1,6 @@
 """True numbers of simulated vehicles: drawn about nominal, those of twelve separate parts too."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
@@ -10,8 +10,9 @@ import torch
 from suspnet.ground.parameters import SIDES
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
+from suspnet.trains.simulation.fleet import EFFECTS
 from suspnet.vehicle import PARAMETERS, QuarterCar, SpatialVehicle, VerticalVehicle
-from suspnet.vehicle.quantities import QUANTITIES, LogNormal
+from suspnet.vehicle.quantities import QUANTITIES, SPATIAL_QUANTITIES, LogNormal
 from suspnet.vehicle.vertical_vehicle import VehicleFamily
 
 MAX_DRAWS = 100
@@ -23,9 +24,10 @@ SIDEWAYS = ("frame_sway", "frame_yaw", "body_yaw", "creep")
 """Motion that a vehicle of separate parts has in addition to that of the vertical vehicle."""
 
 
-def with_separate_parts(generator: Any) -> SpatialVehicle:
+def with_separate_parts(generator: Any, effects: Sequence[str] = ()) -> SpatialVehicle:
     """Return the vehicle of twelve separate springs and dampers of a vertical vehicle.
 
+    `effects` are parts of it that the vertical vehicle cannot have.
     Its sensors are those on axle box, frame and body, first the left ones, then the right ones.
     ValueError if the generator is no vertical vehicle, or its sensors are in the middle.
     """
@@ -38,7 +40,7 @@ def with_separate_parts(generator: Any) -> SpatialVehicle:
     shared = {field.name: getattr(generator, field.name) for field in fields(VehicleFamily)}
     places = ("axle_box_axle1", f"frame_{frame}", "body")
     return SpatialVehicle(
-        **shared | {"parts": (*generator.parts, *SIDEWAYS)},
+        **shared | {"parts": (*generator.parts, *SIDEWAYS, *effects)},
         sensors=tuple(f"{place}_{side}" for side in SIDES for place in places),
     )
 
@@ -47,8 +49,9 @@ def scattered(generator: Any, scatter: float, seed: int) -> Any:
     """Return a generator whose nominal vehicle has randomly drawn true numbers.
 
     They are drawn from ``LogNormal.prior`` of its parts, deviations multiplied by `scatter` (0 to
-    5), until ``Vehicle`` accepts them and its motion decays. Of a quarter car the springs and
-    dampers are drawn, the masses are not. ValueError if none of ``MAX_DRAWS`` vehicles is physical.
+    5) and those of ``EFFECTS`` halved, as their priors are wider than trains differ, until
+    ``Vehicle`` accepts them and its motion decays. Of a quarter car the springs and dampers are
+    drawn, the masses are not. ValueError if none of ``MAX_DRAWS`` vehicles is physical.
     """
     check_number("scatter", scatter, low=0, high=5)
     if scatter == 0:
@@ -58,9 +61,12 @@ def scattered(generator: Any, scatter: float, seed: int) -> Any:
     prior = _prior(generator)
     absent = (prior.offsets > 0) & (prior.median > 0)  # others have either sign
     least = np.where(absent, 0.0, -np.inf)
+    of_effects = {q.name for q in SPATIAL_QUANTITIES if q.part in EFFECTS}
+    halved = np.array([0.5 if name in of_effects else 1.0 for name in prior.names])
+    widths = halved * prior.deviations
     rng = np.random.default_rng([seed, *STREAM])
     for _ in range(MAX_DRAWS):
-        steps = scatter * prior.deviations * rng.standard_normal(len(prior.names))
+        steps = scatter * widths * rng.standard_normal(len(prior.names))
         logs = np.maximum(np.array(prior.mean) + steps, least)
         candidate = _with_numbers(generator, prior.names, logs)
         if candidate is not None and _decays(candidate):

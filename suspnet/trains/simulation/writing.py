@@ -116,7 +116,7 @@ def write_fleet(
     generator: Any = simulation.generator
     # separate parts first, so that each has its own scatter
     if scenario.by_part:
-        generator = with_separate_parts(generator)
+        generator = with_separate_parts(generator, scenario.effects)
     generator = scattered(generator, simulation.scatter, seed)
     _check_sides(fleet, generator)
     mileage = fleet.mileage_km()
