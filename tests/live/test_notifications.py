@@ -32,13 +32,17 @@ from notified import (
     receiving,
     rules_file,
 )
+from trip_records import trip
 
 from suspnet.depot.live import notifier as notifier_module
 from suspnet.depot.live.channels import AddressError, DeliveryError, Email, Webhook
 from suspnet.depot.live.notifier import Notifier, read_rules
+from suspnet.ground.findings import parts_of, together
 from suspnet.ground.parameters import Severity
+from suspnet.trains.fits.worn_parts import WornPart
 from suspnet.trains.history import History, HistoryError, outbox
 from suspnet.trains.history.outbox import LEASE_S
+from suspnet.trains.pages.messages import text
 
 NIGHT = datetime(2026, 3, 31, 3, tzinfo=UTC)
 _DIGEST = {"kind": "digest", "id": "1", "day": "2026-03-31", "alarms": [], "n_suspensions": 0}
@@ -110,6 +114,19 @@ def test_act_is_sent_at_once_and_a_notice_waits_for_the_digest(told):
     assert notifier.once() == (1, 0)
     assert states(got[1]) == [("k_p", "known"), ("c_s", "new")]
     assert len({one.id for one in got}) == 2
+
+
+@pytest.mark.parametrize("told", KINDS, indirect=True)
+def test_a_message_says_what_the_newest_trip_names_of_the_part(told):
+    store, notifier, _, got, _ = told
+    part, other = "c_p_axle2_left", "k_p_axle1_left"
+    worn = together(WornPart((name,), 1e6, 0.93).finding for name in (part, other))
+    store.write([trip(1, with_curves=False, place=SECOND, worn=worn)])
+    store.keep_alarms(VEHICLE, SECOND, [replace(ACT, parameter=part, words="fell by 7 %")])
+    assert notifier.once() == (1, 0)
+    (entry,) = (one for one in got[0].content["alarms"] if one["parameter"] == part)
+    assert [one["text"] for one in entry["findings"]] == ["fell by 7 %", str(parts_of(worn)[0])]
+    assert "; damper of axle 2, left at 93 % of healthy" in text(got[0].content)
 
 
 @pytest.mark.parametrize("told", KINDS, indirect=True)

@@ -6,14 +6,22 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.stats import norm
+from vehicles import AM96
 
+from suspnet.depot.live.results import Results
+from suspnet.depot.live.suspension import SectionEstimate
 from suspnet.estimation.bogie_model import BogieModel
 from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScatter
+from suspnet.estimation.estimate import HealthyValues
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.findings import together
-from suspnet.ground.parameters import BOGIE_PARTS
-from suspnet.ground.records import ERROR, TripResult
+from suspnet.ground.parameters import BOGIE_PARTS, COMPONENTS
+from suspnet.ground.records import ERROR, Place, TripResult
 from suspnet.trains.fits.bogie_fit import PartsEstimate
 from suspnet.trains.fits.worn_parts import worn_parts
+from suspnet.trains.history import History
+from suspnet.trains.jobs.fleet import FleetSettings
+from suspnet.trains.pages.board import Board, BoardSettings
 from suspnet.trains.trips.joint_verdicts import with_joint_verdicts
 
 LEVEL = 0.9
@@ -27,7 +35,9 @@ PART = "c_p_axle2_left"
 def models(monkeypatch):
     model = BogieModel.__new__(BogieModel)
     training = {"commissioned": {"mileage_km": [0.0]}}
-    for name, value in (("bogie", BOGIE), ("training", training)):
+    healthy = HealthyValues(COMPONENTS, np.ones(13), np.zeros(13))
+    values = {"bogie": BOGIE, "training": training, "healthy": healthy}
+    for name, value in (values | {"generator": SimpleNamespace(vehicle=AM96)}).items():
         object.__setattr__(model, name, value)
     return [model]
 
@@ -70,6 +80,25 @@ def test_small_wear_is_named_by_several_trips(models):
     assert n_alone < 12
     assert n_joint >= 30
     assert wrong == 0
+
+
+def test_a_monitor_stores_what_several_trips_name(models, tmp_path, caplog):
+    caplog.set_level("INFO")
+    alone = [replace(one, vehicle=AM96.name) for one in trips_of([0.93] * 5)]
+    joint = with_joint_verdicts(alone, models, LEVEL)
+    assert sum(a.worn != j.worn for a, j in zip(alone, joint, strict=True)) > 0
+    assert joint[-1].worn != alone[-1].worn
+    suspension = SimpleNamespace(name="S", models=models)
+    with History(tmp_path / "history.db") as store:
+        results = Results(store, FleetSettings(TripSettings()))
+        for one in [*alone, alone[-1]]:  # the last one twice, as after a kill
+            results.report(suspension, SectionEstimate(one, {}, 1000.0))
+        stored = store.read(AM96.name, Place())
+    assert [one.worn for one in stored] == [one.worn for one in joint]
+    assert str(joint[-1].worn) in caplog.text
+    board = Board(str(tmp_path / "history.db"), BoardSettings())
+    board.refresh()
+    assert board.view.states[0].worn == joint[-1].worn
 
 
 def test_the_finding_says_of_how_many_trips_it_is(models):

@@ -2,13 +2,16 @@
 
 import logging
 import time
+from dataclasses import replace
 
 from suspnet.depot.live.suspension import LiveSuspension, SectionEstimate
 from suspnet.ground.records import ERROR, OK
 from suspnet.ground.wording import kilometres
 from suspnet.trains.history import History, HistoryError
 from suspnet.trains.jobs.fleet import FleetSettings
+from suspnet.trains.maintenance.series import N_LAST
 from suspnet.trains.trips.earlier import keep_trips
+from suspnet.trains.trips.joint_verdicts import with_joint_verdicts
 
 log = logging.getLogger(__name__)
 MIN_KM = 0.5
@@ -29,28 +32,30 @@ class Results:
     def report(self, suspension: LiveSuspension, estimate: SectionEstimate) -> None:
         """Store an estimate, which raises and clears alarms, and log it.
 
-        The operation is idempotent: the same estimate replaces the stored one. It blocks while the
-        store is unavailable.
+        A trip also names what it shows with those stored before it. The operation is idempotent:
+        the same estimate replaces the stored one. It blocks while the store is unavailable.
         """
-        result = estimate.result
+        result, settings = estimate.result, self._settings
         has_moved = result.status == OK or estimate.distance_km >= MIN_KM
         is_stored = result.status == ERROR or not has_moved
-        limits = self._settings.limits_of(suspension.models)
+        limits = settings.limits_of(suspension.models)
         while not is_stored:  # ends: when the store is available, or with the process
             try:
+                last = [*self._store.last_before(result, N_LAST - 1), result]
+                result = with_joint_verdicts(last, suspension.models, settings.trips.level)[-1]
                 keep_trips(
                     [result],
                     result.place,
                     suspension.models,
                     limits,
-                    self._settings.changes,
+                    settings.changes,
                     self._store,
                 )
                 is_stored = True
             except HistoryError as error:
                 log.warning("%s; retrying every %g s, no result is lost", error, WAIT_S)
                 time.sleep(WAIT_S)
-        log.info("%s %s", suspension.name, summary(estimate))
+        log.info("%s %s", suspension.name, summary(replace(estimate, result=result)))
 
 
 def summary(estimate: SectionEstimate) -> str:

@@ -19,9 +19,9 @@ from typing import Any
 import sqlalchemy as sql
 from sqlalchemy.engine import Connection
 
-from suspnet.ground.findings import as_plain
+from suspnet.ground.findings import Finding, as_plain, parts_of, restored, together
 from suspnet.ground.parameters import Severity
-from suspnet.ground.records import Key
+from suspnet.ground.records import OK, Key
 from suspnet.ground.storage import content_hash, json_bytes
 from suspnet.trains.history.database import upsert
 from suspnet.trains.history.schema import (
@@ -228,6 +228,13 @@ class _Fleet:
         newest = newest.where(is_one_of(trips.c.suspension_id, open_ids))
         rows = connection.execute(newest.group_by(trips.c.suspension_id))
         self.newest_km = {row[0]: row[1] for row in rows}
+        of_last = trips.alias()
+        last = sql.select(sql.func.max(of_last.c.mileage_km)).where(of_last.c.status == OK)
+        last = last.where(of_last.c.suspension_id == trips.c.suspension_id)
+        chosen = sql.select(trips.c.suspension_id, trips.c.worn).where(
+            is_one_of(trips.c.suspension_id, open_ids), trips.c.mileage_km == last.scalar_subquery()
+        )
+        self.worn = {row[0]: parts_of(restored(row[1])) for row in connection.execute(chosen)}
 
     def up_to_km(self, key: Key, alarm: Alarm) -> float:
         """Return the mileage up to which an alarm is known."""
@@ -240,6 +247,12 @@ class _Fleet:
         by = newest_of(alarm, self.seen.get(key, []))
         names = {"vehicle": key[0], **asdict(key[1])}
         subject = {"parameter": alarm.parameter, "cause": str(alarm.cause)}
+        worn = self.worn.get(self.ids[key], ()) if alarm.is_open else ()
+        named = [
+            part
+            for part in worn
+            if isinstance(part, Finding) and alarm.parameter in part.values.get("names", ())
+        ]
         event = [*names.values(), *subject.values(), int(alarm.severity), alarm.begin_km]
         return {
             "event": _digest(*event),
@@ -251,7 +264,7 @@ class _Fleet:
             "begin_km": alarm.begin_km,
             "end_km": or_null(alarm.end_km),
             "reason": alarm.words,
-            "findings": as_plain(alarm.words),
+            "findings": as_plain(together((alarm.words, *named))),
             "acknowledged_by": by.by if by else "",
         }
 

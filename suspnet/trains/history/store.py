@@ -15,7 +15,7 @@ from sqlalchemy.engine import Connection, Engine
 from sqlalchemy.exc import SQLAlchemyError
 
 from suspnet.ground.findings import at
-from suspnet.ground.records import MOST_NAME, Key, Place, TripResult
+from suspnet.ground.records import MOST_NAME, OK, Key, Place, TripResult
 from suspnet.trains.history.arrays import (
     Reference,
     TripResponses,
@@ -57,6 +57,8 @@ from suspnet.trains.history.schema import (
 )
 from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm
 from suspnet.trains.maintenance.series import Event, Series
+
+TRIP_COLUMNS = [column for column in trips.columns if column.name != "key"]
 
 
 class History:
@@ -164,15 +166,23 @@ class History:
 
     def read(self, vehicle: str, place: Place) -> list[TripResult]:
         """Return the trips of a suspension by mileage; empty if there are none."""
-        columns = [column for column in trips.columns if column.name != "key"]
-        chosen = sql.select(*columns).join(suspensions).where(is_of(vehicle, place))
+        return self._trips((vehicle, place), sql.select(*TRIP_COLUMNS))
+
+    def last_before(self, result: TripResult, n: int) -> list[TripResult]:
+        """Return the last `n` trips of its suspension that have an estimate, before a trip."""
+        chosen = sql.select(*TRIP_COLUMNS).order_by(trips.c.mileage_km.desc()).limit(n)
+        is_before = sql.and_(trips.c.status == OK, trips.c.mileage_km < result.mileage_km)
+        return self._trips((result.vehicle, result.place), chosen.where(is_before))
+
+    def _trips(self, key: Key, chosen: sql.Select[Any]) -> list[TripResult]:
         results = []
         with self._reading() as connection:
-            for row in connection.execute(chosen).mappings():
+            of_suspension = chosen.join(suspensions).where(is_of(*key))
+            for row in connection.execute(of_suspension).mappings():
                 try:
-                    results.append(result_of((vehicle, place), row))
+                    results.append(result_of(key, row))
                 except ValueError as error:
-                    self.bad_rows.append(bad_row(trips, row, error, (vehicle, place)))
+                    self.bad_rows.append(bad_row(trips, row, error, key))
         return sorted(results, key=lambda r: (math.isnan(r.mileage_km), r.mileage_km, r.trip))
 
     def series(self, keys: Iterable[Key] | None = None) -> list[Series]:

@@ -213,12 +213,16 @@ def _report(
     group, models, output = suspension.group, suspension.models, suspension.output
     stage(f"trend and report of {group.place}")
     # all trips, with those that the store held already
-    results = [replace(result, place=group.place) for result in suspension.results]
+    results = of_folder = [replace(result, place=group.place) for result in suspension.results]
     events: list[Event] = []
     if store is not None:
         results = with_earlier(results, group.place, models, store)
         events = store.events(suspension.vehicle, group.place)
-    results = with_joint_verdicts(by_mileage(results), models, settings.trips.level)
+    alone = by_mileage(results)
+    results = with_joint_verdicts(alone, models, settings.trips.level)
+    if store is not None:
+        pairs = zip(results, alone, strict=True)
+        store.write([r for r, before in pairs if r is not before and before in of_folder])
     series = replace(series_of(results, events), vehicle=suspension.vehicle)
     results = with_widened(results, events)
     used = commissionings(models, results)
