@@ -286,7 +286,7 @@ def _pages(port: int) -> dict[str, list[object]]:
     def is_read() -> bool:
         with suppress(OSError):
             for name in ("suspensions", "alarms", "plan"):
-                with urlopen(f"http://127.0.0.1:{port}/api/v1/{name}?limit=500") as answer:
+                with urlopen(f"http://127.0.0.1:{port}/api/v1/{name}") as answer:
                     content = json.load(answer)
                 if not content["complete"] or content["fault"]:
                     return False

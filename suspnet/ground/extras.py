@@ -13,7 +13,7 @@ from suspnet.ground.findings import Finding
 
 PACKAGES = {
     "trips": ("jinja2", "pyarrow", "sqlalchemy"),
-    "live": ("flask", "flask_wtf", "waitress", "pydantic", "werkzeug"),
+    "live": ("flask", "flask_wtf", "waitress", "werkzeug"),
 }
 """What the extras of trips and of the depot install, and their modules import at once."""
 

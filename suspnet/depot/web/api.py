@@ -1,137 +1,79 @@
-"""The API: the fleet as JSON for maintenance systems, with its description in OpenAPI 3.1."""
+"""The API: the fleet as JSON for maintenance systems."""
 
-import functools
-import hashlib
-import re
-from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
-from http import HTTPStatus
-from typing import Any, TypeVar
+from collections.abc import Iterable
+from dataclasses import asdict
+from typing import Any
 
 import numpy as np
-from flask import Blueprint, Response, abort, request
-from pydantic import BaseModel, ValidationError
-from pydantic.json_schema import models_json_schema
+from flask import Blueprint, Response, abort
 from werkzeug.exceptions import HTTPException
 
-from suspnet import __version__
-from suspnet.depot.web import api_models as models
 from suspnet.depot.web.access import identify_program
 from suspnet.depot.web.service import current_refresher, opened_store, stored_trips
 from suspnet.ground.findings import as_plain, together
-from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, NAMES, Severity, part_words
+from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, NAMES, part_words
 from suspnet.ground.records import TripResult
+from suspnet.ground.storage import json_bytes
 from suspnet.trains.maintenance.alarms import Alarm, newest_of
 from suspnet.trains.maintenance.assessment import Assessment
 from suspnet.trains.maintenance.state import State
 from suspnet.trains.pages.overview import FleetView
 
 ROOT = "/api/v1"
-WORDS = (
-    "Suspensions of a fleet with their verdicts, parts, alarms, trips and plan. "
-    "Estimates are relative to healthy; names of fields end in their unit. No answer is a safety "
-    "decision."
-)
-ERRORS = (400, 401, 403, 503)  # of every request
+Row = dict[str, Any]
 api = Blueprint("api", __name__, url_prefix=ROOT)
 api.before_request(identify_program)
-Row = dict[str, Any]
-Rows = Callable[..., Iterable[Row]]
-Query = TypeVar("Query", bound=BaseModel)
 
 
-@dataclass(frozen=True)
-class Route:
-    """One request that the API answers."""
-
-    rule: str
-    name: str
-    summary: str
-    query: type[BaseModel]
-    answer: Any
-
-
-ROUTES: list[Route] = []  # in the order of the description
-
-
-def _answers(rule: str, query: type[Query], item: Any) -> Callable[[Rows], Rows]:
-    """Register a function that gives rows as what the API answers to `rule`.
-
-    The function is given the view of the fleet, the query, and the index of the suspension whose
-    name is part of the rule.
-    """
-    answer = models.Listed[item]
-
-    def register(function: Rows) -> Rows:
-        @functools.wraps(function)
-        def answered(**place: str) -> Response:
-            content, view = _query(query), _read_view()
-            rows = function(view, content, *(_index(view, id) for id in place.values()))
-            return _sent(answer.model_validate(_listed(content, rows)))
-
-        api.add_url_rule(rule, function.__name__, answered)
-        summary = (function.__doc__ or "").strip()
-        ROUTES.append(Route(rule, function.__name__, summary, query, answer))
-        return function
-
-    return register
-
-
-@_answers("/suspensions", models.OfFleet, models.SuspensionAnswer)
-def suspensions(view: FleetView, query: models.OfFleet) -> Iterable[Row]:
-    """List the suspensions, the worst first."""
-    return (
-        _suspension(view, i)
-        for i, state in enumerate(view.states)
-        if query.train in (None, state.place.train)
-        and query.severity in (None, str(state.severity))
-    )
-
-
-@_answers("/suspensions/<id>/parts", models.Paged, models.PartAnswer)
-def parts(view: FleetView, query: models.Paged, index: int) -> Iterable[Row]:
-    """List the parameters of a suspension, or the parts of its bogie where each is read."""
-    state = view.states[index]
-    return (_part(state, own) for own in state.assessments if own.parameter != BODY_MASS)
-
-
-@_answers("/suspensions/<id>/trips", models.Paged, models.TripAnswer)
-def trips(view: FleetView, query: models.Paged, index: int) -> Iterable[Row]:
-    """List the trips of a suspension, the newest first."""
-    with opened_store() as store:
-        return map(_trip, reversed(stored_trips(store, view.states[index])))
-
-
-@_answers("/alarms", models.OfAlarms, models.AlarmAnswer)
-def alarms(view: FleetView, query: models.OfAlarms) -> Iterable[Row]:
-    """List alarms, active ones first, then the worst."""
-    rows = [
-        _alarm(view, i, alarm)
-        for i, state in enumerate(view.states)
-        if query.train in (None, state.place.train)
-        for alarm in state.all_alarms
-        if query.severity in (None, str(alarm.severity))
-        and query.active in (None, str(alarm.is_open).lower())
-    ]
-    by_severity = [str(severity) for severity in sorted(Severity, reverse=True)]
-    rows.sort(key=lambda row: (not row["active"], by_severity.index(row["severity"])))
-    is_seen = query.acknowledged
-    return [r for r in rows if is_seen in (None, str(r["acknowledged_at"] is not None).lower())]
-
-
-@_answers("/plan", models.OfFleet, models.JobAnswer)
-def plan(view: FleetView, query: models.OfFleet) -> Iterable[Row]:
-    """List the jobs of the plan: unknown parts first, then visits, then parts that wait."""
-    return (
+@api.get("/suspensions")
+def suspensions() -> Response:
+    """Return the suspensions, the worst first: a row of overview.csv each."""
+    view = _read_view()
+    return _listed(
         row
-        for row in (view.plan.rows() if view.plan else [])
-        if query.train in (None, row["train"]) and query.severity in (None, row["severity"])
+        | _place(view, i)
+        | {
+            "findings": as_plain(row["reason"]),
+            "parameters": [name for name in row["parameter"].split(", ") if name],
+        }
+        for i, row in enumerate(view.rows)
     )
+
+
+@api.get("/suspensions/<name>/parts")
+def parts(name: str) -> Response:
+    """Return the parameters of a suspension, or the parts of its bogie where each is read."""
+    state = _state(name)
+    return _listed(_part(state, own) for own in state.assessments if own.parameter != BODY_MASS)
+
+
+@api.get("/suspensions/<name>/trips")
+def trips(name: str) -> Response:
+    """Return the trips of a suspension, the newest first."""
+    with opened_store() as store:
+        return _listed(map(_trip, reversed(stored_trips(store, _state(name)))))
+
+
+@api.get("/alarms")
+def alarms() -> Response:
+    """Return the alarms, active ones first, then the worst."""
+    view = _read_view()
+    found = [(i, alarm) for i, state in enumerate(view.states) for alarm in state.all_alarms]
+    found.sort(key=lambda entry: (not entry[1].is_open, -entry[1].severity))
+    return _listed(_alarm(view, i, alarm) for i, alarm in found)
+
+
+@api.get("/plan")
+def plan() -> Response:
+    """Return the jobs of the plan: unknown parts first, then visits, then parts that wait."""
+    planned = _read_view().plan
+    return _listed(planned.rows() if planned else [])
 
 
 def problem(code: int, title: str, detail: str) -> Response:
     """Return an answer that states why a request was not answered."""
-    response = _sent(models.Problem(status=code, title=title, detail=detail), code)
+    content = {"status": code, "title": title, "detail": detail}
+    response = Response(json_bytes(content), code, mimetype="application/json")
     if code == 401:
         response.headers["WWW-Authenticate"] = 'Bearer realm="suspnet"'
     if code == 503:
@@ -148,34 +90,6 @@ def http_problem(error: HTTPException) -> Response:
     return response
 
 
-def _sent(content: BaseModel, status: int = 200) -> Response:
-    response = Response(content.model_dump_json(), status, mimetype="application/json")
-    if status == 200:
-        response.headers["Cache-Control"] = "no-cache"  # stored, but asked for each time
-        # weak: when the store was read is not part of what has changed
-        state = content.model_dump_json(exclude={"read_at"})
-        response.set_etag(hashlib.sha256(state.encode()).hexdigest()[:32], weak=True)
-        response.make_conditional(request)
-    return response
-
-
-def _query(model: type[Query]) -> Query:
-    """Return the query of a request; abort with 400 and its first mistakes if it is not valid."""
-    values = {}
-    for name, several in request.args.lists():
-        if len(several) > 1:
-            abort(400, f"{name} is given {len(several)} times.")
-        values[name] = several[0]
-    try:
-        return model.model_validate(values)
-    except ValidationError as error:
-        mistakes = [
-            f"{'.'.join(map(str, mistake['loc']))}: {mistake['msg']}"
-            for mistake in error.errors(include_url=False, include_input=False)
-        ]
-        abort(400, "; ".join(mistakes[:5]) + ".")
-
-
 def _read_view() -> FleetView:
     refresher = current_refresher()
     view, fault = refresher.board.view, refresher.fault
@@ -184,35 +98,28 @@ def _read_view() -> FleetView:
     return view
 
 
-def _index(view: FleetView, id: str) -> int:
-    if id not in view.keys:
+def _state(name: str) -> State:
+    view = _read_view()
+    if name not in view.keys:
         abort(404, "There is no such suspension in this history.")
-    return view.keys[id]
+    return view.states[view.keys[name]]
 
 
-def _listed(query: Any, rows: Iterable[Row]) -> Row:
-    """Return the requested rows of a list."""
-    every, end = list(rows), query.offset + query.limit
+def _listed(rows: Iterable[Row]) -> Response:
+    """Return rows, and how new they are, as JSON; null where a number is unknown or infinite."""
     refresher = current_refresher()
-    return {
+    content = {
         "read_at": refresher.read_at.isoformat(timespec="seconds"),
         "complete": refresher.board.view.is_complete,
         "fault": refresher.fault,
-        "total": len(every),
-        "next_offset": end if end < len(every) else None,
-        "items": every[query.offset : end],
+        "items": list(rows),
     }
+    return Response(json_bytes(content), mimetype="application/json")
 
 
 def _place(view: FleetView, index: int) -> Row:
     vehicle, place = view.states[index].key
     return {"id": view.names[index], "vehicle": vehicle, **asdict(place)}
-
-
-def _suspension(view: FleetView, index: int) -> Row:
-    row = view.rows[index]
-    names = [name for name in row["parameter"].split(", ") if name]
-    return {**row, **_place(view, index), "findings": as_plain(row["reason"]), "parameters": names}
 
 
 def _part(state: State, assessment: Assessment) -> Row:
@@ -243,10 +150,12 @@ def _alarm(view: FleetView, index: int, alarm: Alarm) -> Row:
     seen = newest_of(alarm, view.acknowledged.get(view.states[index].key, ()))
     return {
         **_place(view, index),
-        **asdict(alarm),
+        "parameter": alarm.parameter,
         "cause": str(alarm.cause),
         "severity": str(alarm.severity),
         "active": alarm.is_open,
+        "begin_km": alarm.begin_km,
+        "end_km": alarm.end_km,
         "reason": alarm.words,
         "findings": as_plain(alarm.words),
         "acknowledged_by": seen.by if seen else "",
@@ -256,66 +165,10 @@ def _alarm(view: FleetView, index: int, alarm: Alarm) -> Row:
 
 
 def _trip(result: TripResult) -> Row:
-    return {
-        **vars(result),
+    names = ("trip", "start", "mileage_km", "status", "reason", "flags", "worn", "temperature_c")
+    return {name: getattr(result, name) for name in names} | {
         "speed_m_per_s": result.quality.speed_m_per_s,
         "findings": as_plain(together((result.reason, result.flags, result.worn))),
         "estimates": {k: v for k, v in result.estimates.items() if np.isfinite(v)},
         "half_widths": {k: v for k, v in result.half_widths.items() if np.isfinite(v)},
-    }
-
-
-@api.get("/openapi.json")
-def openapi() -> Row:
-    """Return the description of the API, made of the types that it takes and gives."""
-    answers: Any = [
-        (answer, "serialization") for answer in (*(r.answer for r in ROUTES), models.Problem)
-    ]
-    template = "#/components/schemas/{model}"
-    refs: Any
-    refs, schemas = models_json_schema(answers, ref_template=template)
-    contents = {
-        model: {"content": {"application/json": {"schema": refs[model, mode]}}}
-        for model, mode in answers
-    }
-    return {
-        "openapi": "3.1.0",
-        "info": {"title": "suspnet", "version": __version__, "description": WORDS},
-        "servers": [{"url": request.script_root or "/"}],
-        # without a login anybody may read; with one, a program shows its token
-        "security": [{}, {"token": []}],
-        "paths": {
-            ROOT + re.sub(r"<(\w+)>", r"{\1}", route.rule): {"get": _operation(route, contents)}
-            for route in ROUTES
-        },
-        "components": {
-            "schemas": schemas["$defs"],
-            "securitySchemes": {"token": {"type": "http", "scheme": "bearer"}},
-        },
-    }
-
-
-def _operation(route: Route, contents: dict[Any, Row]) -> Row:
-    responses: Row = {"200": {"description": "The answer."} | contents[route.answer]}
-    responses["304"] = {"description": "As the ETag that was sent."}
-    errors = {*ERRORS} | ({404} if "<id>" in route.rule else set())
-    for code in sorted(errors):
-        phrase = f"{HTTPStatus(code).phrase}."
-        responses[str(code)] = {"description": phrase} | contents[models.Problem]
-    parameters: list[Row] = []
-    if "<id>" in route.rule:
-        schema: Row = {"type": "string", "pattern": models.ID}
-        place = {"name": "id", "in": "path", "required": True, "schema": schema}
-        parameters.append(place | {"description": "Name of the suspension in addresses."})
-    for name, declared in route.query.model_json_schema().get("properties", {}).items():
-        # the query has no null: a missing name takes its place
-        kinds = [kind for kind in declared.get("anyOf", []) if kind.get("type") != "null"]
-        schema = kinds[0] if kinds else {k: v for k, v in declared.items() if k != "description"}
-        place = {"name": name, "in": "query", "description": declared["description"]}
-        parameters.append(place | {"schema": schema})
-    return {
-        "operationId": route.name,
-        "summary": route.summary,
-        "parameters": parameters,
-        "responses": responses,
     }
