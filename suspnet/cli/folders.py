@@ -26,8 +26,8 @@ ERROR = "error.txt"
 """File with the reason in the folder of a failed job of a multirun."""
 FLEET = "fleet.json"
 """Last file written by a training of several suspensions."""
-FINISHED = ("metrics.json", "speeds.json", FLEET)
-"""Last files written by a training: of one model, several speeds or several suspensions."""
+FINISHED = ("metrics.json", FLEET)
+"""Last files written by a training: of one model or several suspensions."""
 NOT_COMPARED = ("resume", "progress", "threads", "workers", "language", "dataset")
 """Keys that change no number: runs that differ only in these count as the same."""
 FINE, MISTAKE, SOME_WITHOUT_ESTIMATE, NOTICE, ACT = 0, 1, 2, 3, 4

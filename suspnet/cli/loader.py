@@ -29,7 +29,7 @@ from suspnet.depot.live.broker import HOST_VARIABLE
 
 ALLOWED = frozenset(
     """
-    changes direction figures fleet generator group groups job limits live model plan protocol
+    changes figures fleet generator group groups job limits live model plan protocol
     refine scenario search seed sensor_lateral_m speed_m_per_s track tuned vehicle
     data.body_high_hz data.high_hz data.kind data.low_hz data.method data.minutes data.n_calibrate
     data.n_test data.n_train data.noise_on data.overlap data.rates_hz data.segment_s

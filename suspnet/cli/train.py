@@ -10,7 +10,7 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING
 
-from omegaconf import DictConfig, ListConfig
+from omegaconf import DictConfig
 from sklearn.exceptions import ConvergenceWarning
 
 from suspnet.cli import folders, program
@@ -24,20 +24,16 @@ from suspnet.cli.commission_fleet import (
 )
 from suspnet.cli.kinds import build
 from suspnet.cli.rigs import is_rig, train_rig
-from suspnet.curves.estimates import SPEED_HALF_WIDTH, EstimateSettings
+from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.problem import Problem
-from suspnet.curves.speeds import SpeedRange
 from suspnet.estimation.bogie_model import BogieModel
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.extras import optional
-from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
-from suspnet.ground.settings import check_choice
 from suspnet.ground.wording import command
 from suspnet.runs.dataset import write_dataset
 from suspnet.runs.fit import check_hyperparameters
 from suspnet.runs.language import check_language, speaking
-from suspnet.runs.scores import Metrics
-from suspnet.runs.train import RunContext, speed_ranges, train, train_ranges
+from suspnet.runs.train import RunContext, train
 
 with optional("trips"):  # `suspensions` says what is missing
     from suspnet.trains.identification.healthy_trips import read_healthy
@@ -52,20 +48,10 @@ if TYPE_CHECKING:
     from suspnet.trains.recordings.manifest_files import ManifestFile
 
 log = logging.getLogger(__name__)
-NO_SPEED = (
-    "a range of speeds is for models that read trips and depend on the speed: experiment=trips "
-    "with a vehicle of known geometry; give one speed_m_per_s"
-)
 NO_HEALTHY = "speed_m_per_s=null is for healthy=DIR, whose trips show the speeds; give a speed"
-BOTH = "both"
-"""Setting `direction` of models for trips of either direction of travel."""
-NO_DIRECTION = (
-    "direction= is for models that read trips and depend on the direction of travel: "
-    "experiment=trips with a vehicle of known geometry"
-)
 FIRST_M_PER_S = 70.0
 """Assumed speed until the healthy trips have shown theirs, [m/s]; only leakage depends on it."""
-OF_REGRESSIONS = ("speed_m_per_s", "direction", "model", "refine", "search", "dataset")
+OF_REGRESSIONS = ("speed_m_per_s", "model", "refine", "search", "dataset")
 """Settings that the vehicle of healthy trips does not need."""
 
 
@@ -73,8 +59,7 @@ OF_REGRESSIONS = ("speed_m_per_s", "direction", "model", "refine", "search", "da
 def main(config: DictConfig) -> None:
     """Build what the configuration names, train it and fill the run folder.
 
-    A range of speeds, or healthy trips of several suspensions, give several models, each in its own
-    folder.
+    Healthy trips of several suspensions give several models, each in its own folder.
     """
     warnings.simplefilter("always", ConvergenceWarning)
     check_language(config.language)
@@ -121,24 +106,9 @@ def _run(config: DictConfig, folder: Path, paths: Sequence[ManifestFile] | None 
         program.save_config(config, folder)
         write_bogie_model(folder, model)
         return
-    speeds = config.speed_m_per_s
-    if speeds is None:
+    if config.speed_m_per_s is None:
         raise ValueError(NO_HEALTHY)
-    directions = _directions(config)
-    if not isinstance(speeds, ListConfig | list) and len(directions) == 1:
-        of_speed = config.copy()
-        of_speed.speed_m_per_s = speeds
-        if "speed_half_width" in of_speed.data:
-            of_speed.data.speed_half_width = _half_width(config)
-        _train(_running(of_speed, directions[0]), folder, saved=config)
-        return
-    ranges = [replace(r, direction=d) for r in _ranges(config, speeds) for d in directions]
-    program.save_config(config, folder)
-    train_ranges(
-        ranges,
-        lambda speeds_of_model, where: _train(_bound(config, speeds_of_model), where),
-        folder,
-    )
+    _train(config, folder)
 
 
 def _warn_of_unused() -> None:
@@ -156,55 +126,9 @@ def _at_a_speed(config: DictConfig) -> DictConfig:
     at_speed = config.copy()
     if "minutes" in at_speed.data and at_speed.data.minutes is None:
         at_speed.data.minutes = EstimateSettings.minutes
-    if isinstance(at_speed.speed_m_per_s, ListConfig):
-        return _bound(at_speed, _ranges(at_speed, at_speed.speed_m_per_s)[0])
     if at_speed.speed_m_per_s is None:
         at_speed.speed_m_per_s = FIRST_M_PER_S
     return at_speed
-
-
-def _directions(config: DictConfig) -> Sequence[Direction]:
-    """Return the directions of travel to train for."""
-    if config.direction is None:
-        return (config.generator.get("direction", FORWARD),)
-    check_choice("direction", config.direction, (*DIRECTIONS, BOTH))
-    if build(_at_a_speed(config), "generator").direction is None:
-        raise ValueError(NO_DIRECTION)
-    if config.direction == BOTH:
-        return DIRECTIONS
-    return (config.direction,)
-
-
-def _running(config: DictConfig, direction: Direction) -> DictConfig:
-    of_direction = config.copy()
-    if "direction" in of_direction.generator:
-        of_direction.generator.direction = of_direction.direction = direction
-    return of_direction
-
-
-def _ranges(config: DictConfig, speeds: float | Sequence[float]) -> list[SpeedRange]:
-    """Return the speed ranges that are asked for, one for each model of a direction."""
-    if "speed_half_width" not in config.data:
-        raise ValueError(NO_SPEED if isinstance(speeds, ListConfig | list) else NO_DIRECTION)
-    if isinstance(speeds, float | int):
-        return [SpeedRange.around(speeds, _half_width(config))]
-    ranges = speed_ranges(list(speeds), _half_width(config))
-    if build(_bound(config, ranges[0]), "generator").speed_m_per_s is None:
-        raise ValueError(NO_SPEED)
-    return ranges
-
-
-def _half_width(config: DictConfig) -> float:
-    """Return the half width of the range of speeds that one model reads, relative to its middle."""
-    wanted: float | None = config.data.speed_half_width
-    return SPEED_HALF_WIDTH if wanted is None else wanted
-
-
-def _bound(config: DictConfig, speeds: SpeedRange) -> DictConfig:
-    of_range = _running(config, speeds.direction)
-    of_range.speed_m_per_s = speeds.trained_m_per_s
-    of_range.data.speed_half_width = speeds.half_width
-    return of_range
 
 
 def _check_healthy(config: DictConfig) -> EstimateSettings:
@@ -241,8 +165,8 @@ def _commissioned(
     return BogieModel(bogie, usual, settings, {"commissioned": training_notes(healthy, outcome)})
 
 
-def _train(config: DictConfig, folder: Path, saved: DictConfig | None = None) -> Metrics:
-    """Train one model and fill a folder; config.yaml holds `saved`, or else `config`."""
+def _train(config: DictConfig, folder: Path) -> None:
+    """Train one model and fill a folder."""
     problem = Problem(
         generator=build(config, "generator"),
         task=build(config, "protocol").task(config.group),
@@ -255,8 +179,8 @@ def _train(config: DictConfig, folder: Path, saved: DictConfig | None = None) ->
         write_dataset(problem, path)
     model = build(config, "model")
     search = build(config, "search") if config.get("search") else None
-    resolved = program.save_config(saved or config, folder)
-    return train(
+    resolved = program.save_config(config, folder)
+    train(
         problem,
         model,
         folder,

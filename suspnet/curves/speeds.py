@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 from suspnet.curves.welch import NEGLIGIBLE
 from suspnet.ground.findings import Finding, together
-from suspnet.ground.parameters import FORWARD, REVERSE, Direction
 
 ROUNDING = 1e-9
 """Relative rounding error of a range's ends, which are computed from middle and half width."""
@@ -42,11 +41,10 @@ class Speeds:
 
 @dataclass(frozen=True)
 class SpeedRange:
-    """Range of speeds, and direction of travel, that one model reads."""
+    """Range of speeds that one model reads."""
 
     low_m_per_s: float
     high_m_per_s: float
-    direction: Direction = FORWARD
 
     @classmethod
     def around(cls, trained_m_per_s: float, half_width: float) -> SpeedRange:
@@ -57,17 +55,6 @@ class SpeedRange:
     def trained_m_per_s(self) -> float:
         """Speed of the training curves, the middle of the range."""
         return (self.low_m_per_s + self.high_m_per_s) / 2
-
-    @property
-    def half_width(self) -> float:
-        """Half width relative to the middle, [-]."""
-        return (self.high_m_per_s - self.low_m_per_s) / (self.high_m_per_s + self.low_m_per_s)
-
-    @property
-    def name(self) -> str:
-        """Name of the folder of the range's model."""
-        end = "_reverse" if self.direction == REVERSE else ""
-        return f"{self.low_m_per_s:.1f}_to_{self.high_m_per_s:.1f}_m_per_s{end}"
 
     def holds(self, speed_m_per_s: float) -> bool:
         """Return whether a speed is in the range, including its ends with rounding."""

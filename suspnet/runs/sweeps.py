@@ -92,7 +92,7 @@ def job_rows(folder: Path) -> list[dict[str, Any]]:
     """Return a row for each job of a multirun: rms error of each output [%], their mean, state.
 
     Jobs are ranked among those with the same outputs, and those that did not finish come last. With
-    several speeds or suspensions an error is their mean. ``NAME/bound`` is the rms error over the
+    several suspensions an error is their mean. ``NAME/bound`` is the rms error over the
     bound, None where it is infinite.
     """
     files = [path for name in ("config.yaml", "error.txt") for path in folder.glob(f"*/{name}")]
@@ -146,7 +146,7 @@ def run_errors(job: Path, entry: str = "rms_percent") -> dict[str, float | None]
 
     `entry` is that of its metrics.json. An output without a number there has None.
     """
-    for name in ("metrics.json", "speeds.json", "fleet.json"):
+    for name in ("metrics.json", "fleet.json"):
         if (job / name).is_file():
             content = read_json(job / name)
             several = content if isinstance(content, list) else [content]

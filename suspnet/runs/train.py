@@ -1,35 +1,26 @@
-"""Train: from a problem and a method to a run folder with scores, model, figures and logs.
-
-A range of speeds is covered by several models, each in its own folder.
-"""
+"""Train: from a problem and a method to a run folder with scores, model, figures and logs."""
 
 from __future__ import annotations
 
 import logging
-import math
 import os
 import platform
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import torch
-from tabulate import tabulate
 
 from suspnet.curves.problem import TEST, Problem
-from suspnet.curves.speeds import SpeedRange
 from suspnet.estimation.checkpoint import check_restores, check_saveable, write_model
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground import ledger
-from suspnet.ground.parameters import REVERSE
 from suspnet.ground.progress import stage
-from suspnet.ground.settings import check_number
 from suspnet.ground.storage import write_json
 from suspnet.learning.search import GridSearch, SearchResult
 from suspnet.runs.fit import check_hyperparameters, fit, method_name, refitted, tune
@@ -190,58 +181,3 @@ def environment() -> dict[str, Any]:
         "packages": {name: version(name) for name in PACKAGES},
         "commit": git.stdout.strip() or None,
     }
-
-
-def speed_ranges(speeds: Sequence[Any], half_width: float) -> list[SpeedRange]:
-    """Return the fewest bins, equal in logarithm, from the lowest to the highest speed [m/s].
-
-    `half_width` is the largest half width of a bin relative to its middle, between 0 and 1.
-    """
-    if len(speeds) != 2:
-        raise ValueError(
-            "`speed_m_per_s` must be one speed or the lowest and the highest of a range, "
-            f"[45,80], got {list(speeds)}"
-        )
-    low, high = speeds
-    check_number("speed_m_per_s[0]", low, above=0)
-    check_number("speed_m_per_s[1]", high, above=low)
-    check_number("data.speed_half_width", half_width, above=0, below=1)
-    widest = math.log((1 + half_width) / (1 - half_width))
-    n_bins = math.ceil(math.log(high / low) / widest - 1e-9)
-    edges = [low * (high / low) ** (i / n_bins) for i in range(n_bins)] + [high]
-    return [SpeedRange(*pair) for pair in pairwise(edges)]
-
-
-def train_ranges(
-    ranges: Sequence[SpeedRange], train_one: Callable[[SpeedRange, Path], Metrics], folder: Path
-) -> None:
-    """Train a model for each range of speeds in its own folder, and compare them in speeds.json.
-
-    `train_one` returns the content of metrics.json.
-    """
-    rows = [_row(speeds, train_one(speeds, folder / speeds.name)) for speeds in ranges]
-    write_json(folder / "speeds.json", rows)
-    log.info("rms error in %% by speed\n\n%s\n-> %s", _table(rows), folder)
-
-
-def _row(speeds: SpeedRange, metrics: Mapping[str, Any]) -> dict[str, Any]:
-    keys = ("scores", "rms_percent", "intervals", "seconds")
-    return {
-        "folder": speeds.name,
-        "low_m_per_s": speeds.low_m_per_s,
-        "high_m_per_s": speeds.high_m_per_s,
-        "trained_m_per_s": speeds.trained_m_per_s,
-        "direction": speeds.direction,
-    } | {key: metrics[key] for key in keys if key in metrics}
-
-
-def _table(rows: Sequence[Mapping[str, Any]]) -> str:
-    body = [
-        [
-            f"{row['low_m_per_s']:.1f} to {row['high_m_per_s']:.1f} m/s"
-            + " in reverse" * (row["direction"] == REVERSE),
-            *row["rms_percent"].values(),
-        ]
-        for row in rows
-    ]
-    return tabulate(body, ["speed", *rows[0]["rms_percent"]], tablefmt="github", floatfmt=".2g")

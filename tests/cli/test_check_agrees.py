@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cli_runner import typed
+from speed_ranges import speed_ranges
 from trip_fixtures import changed, model_at, write_trips
 
 from suspnet.cli import check
@@ -14,7 +15,6 @@ from suspnet.curves.estimates import SPEED_HALF_WIDTH
 from suspnet.estimation.checkpoint import save_model
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import OK
-from suspnet.runs.train import speed_ranges
 from suspnet.trains.jobs.check import CheckSettings, check_trip
 from suspnet.trains.pages.check_page import READY, TOO_LITTLE
 from suspnet.trains.trips.trip import evaluate_trip
@@ -32,8 +32,7 @@ def models_between(low, high):
     """Return a model for each bin of a range, as precise as one at 70 m/s for reading at all."""
     model = model_at()
     found = []
-    for one in speed_ranges([low, high], SPEED_HALF_WIDTH):
-        speed, half_width = one.trained_m_per_s, one.half_width
+    for _, speed, half_width in speed_ranges(low, high, SPEED_HALF_WIDTH):
         settings = replace(model.settings, speed_m_per_s=speed, speed_half_width=half_width)
         generator = replace(model.generator, speed_m_per_s=speed)
         found.append(replace(model, settings=settings, generator=generator))

@@ -202,7 +202,7 @@ CHANGES = {
     "another configuration": lambda run: put(run / "config.yaml"),
     "a link": lambda run: linked(run / "config.yaml"),
     "a folder elsewhere": lambda run: (run / "figures").symlink_to(run.parent),
-    "a pipe": lambda run: os.mkfifo(run / "speeds.json"),
+    "a pipe": lambda run: os.mkfifo(run / "fleet.json"),
     "a second ledger": lambda run: put(run / "sub" / ledger.LEDGER, HEAD),
     "a folder in the place of a log": lambda run: (run / "evaluate.log").mkdir(),
 }

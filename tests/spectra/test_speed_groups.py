@@ -6,10 +6,10 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from speed_ranges import speed_ranges
 
 from suspnet.curves.estimates import SPEED_HALF_WIDTH, EstimateSettings
 from suspnet.curves.speeds import SpeedRange, range_words, reading_range
-from suspnet.runs.train import speed_ranges
 from suspnet.trains.spectra.steady_parts import (
     groups_of,
     groups_to_read,
@@ -24,16 +24,15 @@ SPREADS = (0.0, 0.003, 0.018)
 """Largest distance of the speed of a segment from that of the trip, [-]."""
 
 
-def model_of(one):
+def model_of(speed, half_width=0.08):
     """Return as much of a model as the choice by speed asks for."""
-    speed, half_width = (None, 0.08) if one is None else (one.trained_m_per_s, one.half_width)
     settings = EstimateSettings(speed_half_width=half_width)
     return SimpleNamespace(generator=SimpleNamespace(speed_m_per_s=speed), settings=settings)
 
 
 @pytest.fixture
 def models():
-    return [model_of(one) for one in speed_ranges([LOW, HIGH], SPEED_HALF_WIDTH)]
+    return [model_of(*one[1:]) for one in speed_ranges(LOW, HIGH, SPEED_HALF_WIDTH)]
 
 
 def trip_at(speed, spread, n_segments=40, n_samples=20):
@@ -87,6 +86,6 @@ def test_models_of_any_speed_read_all_segments_that_are_fast_enough():
 
 
 def test_ranges_that_meet_are_named_as_one():
-    ranges = speed_ranges([45.0, 80.0], 0.08)
+    ranges = [one for one, *_ in speed_ranges(45.0, 80.0, 0.08)]
     assert range_words(ranges) == "45.0 to 80.0 m/s"
     assert range_words([ranges[0], ranges[-1]]).count(" and ") == 1

@@ -121,7 +121,8 @@ def test_models_of_the_other_direction_are_refused(both_ways, models):
     found = evaluate_trip(both_ways[1], models[:1], SETTINGS)
     assert found.status == "error"
     assert found.reason == (
-        "the trip was run in reverse, the models are for trips forward: train with direction=both"
+        "the trip was run in reverse, the models are for trips forward: "
+        "train with -m generator.direction=forward,reverse"
     )
 
 
