@@ -1,7 +1,9 @@
 """Check manifests and recordings, with a model or without: suspnet check DIR ..."""
 
 from argparse import Namespace
+from collections import Counter
 from collections.abc import Container, Sequence
+from dataclasses import replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -64,11 +66,16 @@ def _checked(
     paths: Sequence[Path], settings: CheckSettings, n_workers: int, language: str
 ) -> list[TripCheck]:
     opened = Opened() if n_workers == 1 else None  # processes share nothing
-    names = picture_names(paths)
+    # the losses that one trip of a folder would name are shown: the first may not be ready
+    n_of: Counter[Path] = Counter()
+    items = []
+    for path, name in picture_names(paths).items():
+        items.append((path, name, n_of[path.parent] < LEAST_TRIPS))
+        n_of[path.parent] += 1
     check_item = partial(_check_one, settings=settings, opened=opened, language=language)
-    done = each(check_item, names.items(), n_workers)
+    done = each(check_item, items, n_workers)
     checks = {}
-    for (path, _), result in progress.bar("trips", len(paths), items=done, unit="trip"):
+    for (path, *_), result in progress.bar("trips", len(paths), items=done, unit="trip"):
         if isinstance(result, LostWorkerError):
             result = TripCheck(path, problems=(str(result),))
         checks[path] = result
@@ -76,10 +83,11 @@ def _checked(
 
 
 def _check_one(
-    item: tuple[Path, str], settings: CheckSettings, opened: Opened | None, language: str
+    item: tuple[Path, str, bool], settings: CheckSettings, opened: Opened | None, language: str
 ) -> TripCheck:
+    path, picture, with_losses = item
     with speaking(language):
-        return check_trip(item[0], settings, item[1], opened)
+        return check_trip(path, replace(settings, with_losses=with_losses), picture, opened)
 
 
 def exit_code(checks: Sequence[TripCheck], elsewhere: Sequence[str]) -> int:

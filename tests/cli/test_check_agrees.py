@@ -8,16 +8,22 @@ import pytest
 from cli_runner import typed
 from speed_ranges import speed_ranges
 from trip_fixtures import changed, model_at, write_trips
+from vehicles import AM96
 
 from suspnet.cli import check
 from suspnet.cli.kinds import read_vehicles
-from suspnet.curves.estimates import SPEED_HALF_WIDTH
+from suspnet.curves.estimates import SPEED_HALF_WIDTH, EstimateSettings
 from suspnet.estimation.checkpoint import save_model
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import OK
+from suspnet.trains.identification.healthy_trips import read_healthy
 from suspnet.trains.jobs.check import CheckSettings, check_trip
 from suspnet.trains.pages.check_page import READY, TOO_LITTLE
+from suspnet.trains.recordings.errors import TripError
+from suspnet.trains.simulation.fleet import Fleet, Scenario
+from suspnet.trains.simulation.writing import Simulation, write_fleet
 from suspnet.trains.trips.trip import evaluate_trip
+from suspnet.vehicle import VerticalVehicle
 
 LOW, HIGH = 61.0, 78.0
 
@@ -83,6 +89,41 @@ def test_check_and_evaluate_agree_at_the_ends_of_bins(trip, tmp_path, speed, spr
     assert alone.state == READY
     (part,) = alone.parts
     assert part.speed_m_per_s == pytest.approx(speed, rel=2e-3)
+
+
+@pytest.fixture(scope="module")
+def of_parts(tmp_path_factory):
+    """Return folders of two trips each with sensors on both sides, by their length in minutes."""
+    folders = {}
+    for minutes in (3.0, 5.0):
+        fleet = Fleet(n_trips=2, minutes=minutes, rate_hz=200.0, direction="forward")
+        parts = ("bushings", "rubber", "guidance", "longitudinal", "bending", "roll")
+        family = VerticalVehicle(AM96, parts=parts, sensor_lateral_m=(1.0, 1.0, 1.0))
+        simulated = Simulation(fleet, Scenario("healthy", by_part=True), family, scatter=1.0)
+        folders[minutes] = tmp_path_factory.mktemp("parts")
+        write_fleet(folders[minutes], simulated)
+    return folders
+
+
+def test_check_finds_too_little_where_training_leaves_a_trip_out(of_parts):
+    generator, settings = VerticalVehicle(AM96), EstimateSettings().bound(AM96)
+    with pytest.raises(TripError, match="for 6 sensors") as left_out:
+        read_healthy(of_parts[3.0], generator, settings, TripSettings())
+    found = check_trip(of_parts[3.0] / "trip_001.yaml", CheckSettings({"am96": AM96}))
+    assert found.state == TOO_LITTLE
+    assert found.remarks[-1] in str(left_out.value)
+    assert (found.shows_parts, dict(found.least_losses)) == (False, {})
+
+
+def test_losses_that_would_be_named_are_computed_of_the_first_trips_only(
+    of_parts, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(check, "LEAST_TRIPS", 1)
+    done = typed(check, of_parts[5.0], "-o", tmp_path / "o", "--no-pictures", cwd=tmp_path)
+    trips = json.loads((tmp_path / "o" / "check.json").read_text())["trips"]
+    assert [(one["state"], one["shows_parts"]) for one in trips] == [(READY, True)] * 2
+    assert [len(one["least_losses"]) for one in trips] == [12, 0]
+    assert done.stdout.count("would name") == 1
 
 
 def test_check_with_a_run_shows_which_trips_its_models_read(trip, tmp_path):

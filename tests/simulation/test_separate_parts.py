@@ -176,6 +176,12 @@ def test_suspensions_that_do_not_wear_have_healthy_parts(tmp_path):
 # failure
 
 
+def test_vehicle_that_hunts_is_refused():
+    fast = with_separate_parts(replace(FAMILY, speed_m_per_s=90.0))
+    with pytest.raises(ValueError, match="the vehicle hunts at 90 m/s: its motion does not decay"):
+        scattered(fast, 0.0, 0)
+
+
 @pytest.mark.parametrize(
     ("generator", "message"),
     [

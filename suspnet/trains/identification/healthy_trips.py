@@ -171,7 +171,7 @@ def _read_one(
         raise NoEstimateError(reason)
     of_parts = None
     if vehicle is not None:
-        of_parts = _with_all_sensors(recording, vehicle, trips, direction)
+        of_parts = trip_of_all_sensors(recording, vehicle, trips, direction)
     return _ReadTrip(
         replace(manifest, start=manifest.start or recording.started),
         recording.paired,
@@ -234,7 +234,7 @@ def _check_same(
             raise TripError(at(folder, OTHER[key], named=named, own=ours))
 
 
-def _with_all_sensors(
+def trip_of_all_sensors(
     recording: Recording, vehicle: SpatialVehicle, trips: TripSettings, direction: Direction
 ) -> BogieTrip:
     """Return a trip as its parts are read; NoEstimateError if it is too short for all sensors."""

@@ -45,7 +45,7 @@ from suspnet.trains.spectra.steady_parts import (
     steady,
 )
 from suspnet.trains.trips.commissionings import models_at, models_of
-from suspnet.trains.trips.sensor_checks import NO_DIRECTION, check_bogie, check_sensors
+from suspnet.trains.trips.sensor_checks import NO_DIRECTION, ShownParts, check_bogie, check_sensors
 from suspnet.trains.trips.trip import evaluate_recording
 from suspnet.vehicle import Vehicle, best_generator
 from suspnet.vehicle.quantities import show_parts
@@ -64,7 +64,7 @@ class CheckSettings:
 
     `vehicles` and `rigs` are known ones by the names that manifests use; `pictures` is the folder
     of the pictures (None: no pictures). A trip is ready if `models` read it, or, without models, if
-    a model of its speed would.
+    a model of its speed would. `with_losses`: whether to compute which losses would be named.
     """
 
     vehicles: Mapping[str, Vehicle]
@@ -72,6 +72,7 @@ class CheckSettings:
     trips: TripSettings = field(default_factory=TripSettings)
     pictures: Path | None = None
     models: Sequence[Model] = ()
+    with_losses: bool = True
 
 
 def check_trip(
@@ -184,7 +185,7 @@ def _inspected(
         result = _with_remarks(result, no_channel(recording), state=TOO_LITTLE)
         if settings.models:
             return _read(result, recording, settings)
-        return result if vehicle is None else _of_parts(result, recording, vehicle, settings.trips)
+        return result if vehicle is None else _of_parts(result, recording, vehicle, settings)
     segments = recording_segments(recording, estimate.welch)
     at_any_speed = vehicle is not None and best_generator(vehicle).speed_m_per_s is None
     result, checked = _at_steady_speeds(
@@ -209,7 +210,9 @@ def _inspected(
     except TripError as error:
         return _with_problems(result, error.problems)
     result = _with_remarks(result, *doubts, frame_sensor=frame_sensor)
-    return result if shown is None else replace(result, least_losses=shown.least_losses)
+    if isinstance(shown, NoEstimateError):  # training leaves the trip out; models decide themselves
+        return result if settings.models else _with_remarks(result, str(shown), state=TOO_LITTLE)
+    return result if shown is None else _with_losses(result, shown, settings)
 
 
 def _of_rig(result: TripCheck, manifest: RecordManifest, settings: CheckSettings) -> TripCheck:
@@ -343,14 +346,14 @@ def _at_steady_speeds(
 
 
 def _of_parts(
-    result: TripCheck, recording: Recording, vehicle: Vehicle, settings: TripSettings
+    result: TripCheck, recording: Recording, vehicle: Vehicle, settings: CheckSettings
 ) -> TripCheck:
     """Return the check of a recording whose sensors can show nothing but each part."""
     way = recording.manifest.direction
     if way is None and show_parts(sensor_places(recording.manifest, "axle")):
         return _with_remarks(result, NO_DIRECTION)
     try:
-        shown = check_bogie(recording, vehicle, settings, [way] if way else [])
+        shown = check_bogie(recording, vehicle, settings.trips, [way] if way else [])
     except TripError as error:
         return _with_problems(result, error.problems)
     except NoEstimateError as reason:
@@ -359,4 +362,9 @@ def _of_parts(
         return result
     unknown = [float("nan")] * 3
     part = SteadyPart(shown.trip.speed_m_per_s, shown.trip.spectra.n_averages, *unknown)
-    return replace(result, state=READY, parts=(part,), least_losses=shown.least_losses)
+    return _with_losses(replace(result, state=READY, parts=(part,)), shown, settings)
+
+
+def _with_losses(result: TripCheck, shown: ShownParts, settings: CheckSettings) -> TripCheck:
+    losses = shown.least_losses() if settings.with_losses else {}
+    return replace(result, shows_parts=True, least_losses=losses)

@@ -71,10 +71,11 @@ class TripCheck:
     segments that belong to `parts`, which are the speeds with enough averages, the longest first.
     `band_hz` is where the vehicle's responses are read, and `read_by` the speeds of the models that
     decide whether the trip is ready, empty without models. `unchecked`: the vehicle's numbers are
-    not known, so that ``NEED_A_VEHICLE`` are not checked. `least_losses` are those from which a
-    trip like this would name each part of the bogie (`expected_losses`), empty without sensors that
-    show the parts. `label` is its name among trips of several folders, `frame_sensor` where the
-    frame's sensor looks to be. `is_rig`: it is a record of a rig.
+    not known, so that ``NEED_A_VEHICLE`` are not checked. `shows_parts`: each part of the bogie can
+    be read, as far as was checked; `least_losses` are those from which a trip like this would name
+    each (`expected_losses`), empty where they were not computed. `label` is its name among trips of
+    several folders, `frame_sensor` where the frame's sensor looks to be. `is_rig`: it is a record
+    of a rig.
     """
 
     manifest: Path
@@ -94,15 +95,11 @@ class TripCheck:
     picture: str = ""
     read_by: str = ""
     unchecked: bool = False
+    shows_parts: bool = False
     least_losses: Mapping[str, float] = field(default_factory=dict)
     label: str = ""
     frame_sensor: str = "axle"
     is_rig: bool = False
-
-    @property
-    def shows_parts(self) -> bool:
-        """Whether each part of the bogie can be read, as far as was checked."""
-        return bool(self.least_losses)
 
     @property
     def shown(self) -> str:
@@ -137,7 +134,6 @@ class TripCheck:
         return asdict(self) | {
             "manifest": printable(str(self.manifest)),
             "n_averages": self.n_averages,
-            "shows_parts": self.shows_parts,
         }
 
 
@@ -197,7 +193,7 @@ def suspension_sentences(checks: Sequence[TripCheck]) -> list[str]:
     kinds = sorted({check.sensors for check in ready})
     if len(kinds) > 1:
         words.append(Finding("sensors-differ", kinds=together(kinds, "; ")))
-    if seen := next((check for check in ready if check.shows_parts), None):
+    if seen := next((check for check in ready if check.least_losses), None):
         hardest = hardest_losses(seen.least_losses)
         words.append(Finding("would-name-from", trip=seen.name, n=N_HEALTHY, **hardest))
     return words

@@ -55,6 +55,11 @@ def scattered(generator: Any, scatter: float, seed: int) -> Any:
     """
     check_number("scatter", scatter, low=0, high=5)
     if scatter == 0:
+        if isinstance(generator, SpatialVehicle) and not _decays(generator):
+            raise ValueError(
+                f"the vehicle hunts at {generator.speed_m_per_s:g} m/s: its motion does not decay; "
+                "lower the speed, or draw other numbers by `scatter` and `seed`"
+            )
         return generator
     if not isinstance(generator, QuarterCar | VehicleFamily):
         raise TypeError(f"`scatter` needs a generator of suspnet, got {type(generator).__name__}")

@@ -16,11 +16,8 @@ from suspnet.ground.parameters import Direction
 from suspnet.ground.tensors import threads
 from suspnet.trains.fits.healthy_misfit import HealthySpectra
 from suspnet.trains.fits.worn_parts import expected_losses
-from suspnet.trains.identification.bogie_trips import (
-    PARTS_OF_BOGIE,
-    bogie_trip,
-    sensor_places,
-)
+from suspnet.trains.identification.bogie_trips import PARTS_OF_BOGIE, sensor_places
+from suspnet.trains.identification.healthy_trips import trip_of_all_sensors
 from suspnet.trains.recordings.errors import all_of
 from suspnet.trains.recordings.manifest import TripManifest
 from suspnet.trains.recordings.recording import Recording
@@ -51,13 +48,14 @@ NO_DIRECTION = (
 
 @dataclass(frozen=True)
 class ShownParts:
-    """A stretch that shows each part of a bogie, and the loss from which it would name each one.
+    """A stretch that shows each part of a bogie, and the vehicle with its prior."""
 
-    `least_losses` are the `expected_losses` after ``N_HEALTHY`` trips like it, [-].
-    """
-
+    vehicle: SpatialVehicle
     trip: BogieTrip
-    least_losses: Mapping[str, float]
+
+    def least_losses(self) -> Mapping[str, float]:
+        """Return the `expected_losses` of each part after ``N_HEALTHY`` trips like it, [-]."""
+        return expected_losses(self.vehicle, self.trip, N_HEALTHY)
 
 
 def check_sensors(
@@ -67,12 +65,12 @@ def check_sensors(
     vehicle: Vehicle,
     estimate: EstimateSettings,
     settings: TripSettings,
-) -> tuple[tuple[str, ...], ShownParts | None, str]:
+) -> tuple[tuple[str, ...], ShownParts | NoEstimateError | None, str]:
     """Return doubts about the sensors, what they show of each part, and where the frame's is.
 
-    The last is "axle" or "centre". `checked` are the segments of the steady parts, the longest
-    first; `estimate` is bound to the vehicle. TripError if the signals contradict the places
-    that the manifest gives the sensors.
+    The second is why training would leave the trip out, if it would, the last "axle" or "centre".
+    `checked` are the segments of the steady parts, the longest first; `estimate` is bound to the
+    vehicle. TripError if the signals contradict the places that the manifest gives the sensors.
     """
     doubts: list[str] = []
     ways = [way] if (way := recording.manifest.direction) else []
@@ -100,10 +98,11 @@ def check_sensors(
         differences = difference_segments(recording, segments.welch)
         check_pairs(segments, differences, chosen, recording.paired, vehicle)
 
-    def check_parts() -> ShownParts | None:
-        with contextlib.suppress(NoEstimateError):  # what can be read is said elsewhere
+    def check_parts() -> ShownParts | NoEstimateError | None:
+        try:
             return check_bogie(recording, vehicle, settings, ways, place)
-        return None
+        except NoEstimateError as reason:
+            return reason
 
     # all checks run, so that all problems are reported at once
     of_segments = [check_channel_order, *([check_sides] if any(recording.paired) else [])]
@@ -151,9 +150,10 @@ def check_bogie(
 ) -> ShownParts | None:
     """Return what a recording shows of each part of a bogie; None without the sensors.
 
-    NoEstimateError if no stretch is long enough, TripError if two of the sensors look swapped, or
-    are at another bogie or axle than the manifest says. `ways` are the directions of travel of the
-    recording's parts, empty if unknown; `place` is that of the frame's sensor, if it is not usual.
+    NoEstimateError if training would leave the trip out, TripError if two of the sensors look
+    swapped, or are at another bogie or axle than the manifest says. `ways` are the directions of
+    travel of the recording's parts, empty if unknown; `place` is that of the frame's sensor, if it
+    is not usual.
     """
     place = place or {}
     places = sensor_places(recording.manifest, place.get("frame_sensor", "axle"))
@@ -163,12 +163,12 @@ def check_bogie(
     unknown = SpatialVehicle(
         vehicle, **_measured_at(manifest), **place, parts=PARTS_OF_BOGIE, sensors=places
     ).with_prior()
-    trip = bogie_trip(recording, unknown, settings, ways[0])
+    trip = trip_of_all_sensors(recording, unknown, settings, ways[0])
     fit = cache(partial(misfit_near, unknown, trip))
     if manifest.direction:  # else that which the phases show assumes the bogie
         check_end(unknown, trip, fit=fit)
     check_order(unknown, trip, nearly=NEARLY, fit=fit)
-    return ShownParts(trip, expected_losses(unknown, trip, N_HEALTHY))
+    return ShownParts(unknown, trip)
 
 
 def _measured_at(manifest: TripManifest) -> dict[str, Any]:
