@@ -73,6 +73,13 @@ def test_from_files_to_a_verdict(folder):
     again = typed("evaluate", "trips=healthy", "run=run", "hydra.run.dir=again")
     assert again.returncode == 0, again.stderr
     assert json.loads(Path("again/records.json").read_text())["records"][0]["verdict"] == "none"
+    assert "no verdict" not in again.stdout + again.stderr
+    tight = ["monitor.limits.c_s.notice=[0.999999,1.1]", "monitor.limits.c_s.act=[0.999999,1.1]"]
+    unsure = typed("evaluate", "trips=healthy", "run=run", "hydra.run.dir=unsure", *tight)
+    assert unsure.returncode == 0, unsure.stderr
+    names = ", ".join(f"{path.stem}" for path in sorted(Path("healthy").glob("*.yaml")))
+    words = f"no verdict, as the interval is too wide: c_s of {names}\n"
+    assert words in unsure.stdout + unsure.stderr
 
 
 def test_mistakes_are_one_line(folder):

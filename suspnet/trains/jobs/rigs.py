@@ -214,11 +214,20 @@ def reading_lines(rig: CommissionedRig, results: Sequence[RigResult], level: flo
         ]
         if beyond:
             notes.append(f"{result.record}: {result.severity}: {', '.join(beyond)}")
+    if hidden := {name: records for name in PARAMETERS if (records := _without(results, name))}:
+        of_each = (f"{name} of {', '.join(records)}" for name, records in hidden.items())
+        notes.append(f"no verdict, as the interval is too wide: {'; '.join(of_each)}")
     titles = ["record", *(name.replace("_over_", "/") for name in READS), "verdict"]
     head = f"in % of healthy, {100 * level:g} % intervals; {NOT_SHOWN}: the record does not show it"
     table = tabulate(rows, titles, disable_numparse=True) if rows else ""
     lines = [f"{rig.rig.name}: {head}", *table.splitlines(), *notes]
     return [printable(line) for line in lines]
+
+
+def _without(results: Sequence[RigResult], name: str) -> list[str]:
+    """Return the records that have an estimate, but are too uncertain to judge one number."""
+    estimates = [(result.record, result.estimate) for result in results if result.estimate]
+    return [record for record, e in estimates if e.severities.get(name) == Severity.UNKNOWN]
 
 
 def _texts(value: Value, scale: float = 1.0) -> tuple[str, str]:
