@@ -7,10 +7,10 @@ from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScat
 
 
 def fitted_at_once(vehicle, trips, converged=True):
-    """Return what ``commission_bogie`` would of healthy trips of three sensors."""
-    masses = np.linspace(1.0, 1.1, len(trips))
-    noise = tuple(map(tuple, (1e-4 * np.eye(4)).tolist()))
+    """Return what ``commission_bogie`` would of healthy trips."""
+    masses, n_sensors = np.linspace(1.0, 1.1, len(trips)), len(vehicle.sensors)
+    noise = tuple(map(tuple, (1e-4 * np.eye(12 if vehicle.shows_parts else 4)).tolist()))
     scatter = HealthyScatter((0.0,) * 4, (0.01,) * 4, len(trips), noise)
-    errors = torch.zeros(len(trips[0].frequencies_hz), 3, dtype=torch.float64)
-    of_sensors = torch.full((3,), 1e-6, dtype=torch.float64)
+    errors = torch.zeros(len(trips[0].frequencies_hz), n_sensors, dtype=torch.float64)
+    of_sensors = torch.full((n_sensors,), 1e-6, dtype=torch.float64)
     return CommissionedBogie(vehicle, of_sensors, masses, 1.02, converged, None, errors, scatter)

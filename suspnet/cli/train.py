@@ -157,6 +157,11 @@ def _commissioned(
         n_first=config.n_healthy,
         progress=config.progress,
     )
+    if generator.parts and healthy.vehicle is not None and healthy.vehicle.shows_parts:
+        log.warning(
+            "without effect, as the sensors show each part: generator.parts=[%s]",
+            ",".join(generator.parts),
+        )
     bogie = commission_parts(healthy, trips)
     outcome = commission_trips(healthy, generator, settings, bogie=bogie)
     with speaking(config.language):

@@ -8,11 +8,15 @@ import pytest
 from cli_runner import QUIET, run_program
 from fitted_at_once import fitted_at_once
 from trip_fixtures import changed, small_fleet
+from vehicles import AM96
 
 from suspnet.cli import train
 from suspnet.estimation.checkpoint import load_model
 from suspnet.ground.parameters import PARAMETERS
 from suspnet.trains.jobs import commissioning as run
+from suspnet.trains.simulation.fleet import Fleet, Scenario
+from suspnet.trains.simulation.writing import Simulation, write_fleet
+from suspnet.vehicle import VerticalVehicle
 
 pytestmark = pytest.mark.usefixtures("blank", "healthy_trips_read_once")
 FEW = ["data.n_train=100", "data.n_test=20", "data.n_calibrate=null", *QUIET]
@@ -33,6 +37,18 @@ def folder(fleet, tmp_path):
     for path in sorted(fleet.glob("*.yaml"))[:3]:
         changed(path, trips, path.stem)
     return trips
+
+
+@pytest.fixture(scope="module")
+def separate(tmp_path_factory):
+    """Return a folder of three trips with sensors on both sides."""
+    folder = tmp_path_factory.mktemp("separate")
+    parts = ("bushings", "rubber", "guidance", "longitudinal", "bending", "roll")
+    family = VerticalVehicle(AM96, parts=parts, sensor_lateral_m=(1.0, 1.0, 1.0))
+    healthy = Scenario("healthy", by_part=True)
+    fleet = Fleet(n_trips=3, minutes=5.0, rate_hz=200.0)
+    write_fleet(folder, Simulation(fleet, healthy, family, scatter=1.0))
+    return folder
 
 
 @pytest.fixture
@@ -86,6 +102,18 @@ def test_settings_of_regressions_are_named_as_without_effect(fitted, folder, tmp
     with caplog.at_level(logging.WARNING):
         assert run_program(train, tmp_path / "run", *given) == 0
     assert "reads trips itself: model, speed_m_per_s" in caplog.text
+
+
+@pytest.mark.parametrize("parts", [[], ["generator.parts=[air_spring]"]])
+def test_parts_that_are_named_are_of_no_effect_where_each_is_read(
+    fitted, separate, tmp_path, caplog, parts
+):
+    given = [*FEW, "experiment=trips", f"healthy={separate}", *parts]
+    with caplog.at_level(logging.WARNING):
+        assert run_program(train, tmp_path / "run", *given) == 0
+    assert "air_spring" not in load_model(tmp_path / "run").bogie.generator.parts
+    words = "without effect, as the sensors show each part: generator.parts=[air_spring]"
+    assert (words in caplog.text) == bool(parts)
 
 
 def test_no_speed_is_for_healthy_trips(folder, tmp_path):
