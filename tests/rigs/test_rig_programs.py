@@ -89,7 +89,7 @@ def test_mistakes_are_one_line(folder):
     few = "error: healthy: 1 healthy records are given, at least 3 are needed"
     assert one_line(trained) == few
     typed_words = ("train", "--config-dir", "rigs", "healthy=healthy")
-    for word in ("direction=forward", "speed_m_per_s=3", "model=msvr"):
+    for word in ("speed_m_per_s=3", "model=msvr"):
         key = word.partition("=")[0]
         assert f"`{key}` is not for rigs: leave it out" in one_line(typed(*typed_words, word))
     assert "give --config-dir DIR" in one_line(typed("train", "healthy=healthy"))
