@@ -167,6 +167,8 @@ class Method:
         Power of n with which its time grows at most.
     has_tube : bool
         Whether epsilon changes it.
+    is_for_wide : bool
+        Whether it is tried with a wide tube.
     device : {"cpu", "cuda"}
     kind : {"suspnet", "peer"}
     """
@@ -179,6 +181,7 @@ class Method:
     largest: int = SIZES[-1]
     order: int = 1
     has_tube: bool = True
+    is_for_wide: bool = True
     device: str = "cpu"
     kind: str = "suspnet"
 
@@ -195,6 +198,9 @@ def on_gpu(**options: Any) -> Callable[[float], Any]:
 
 METHODS = {
     "exact": Method("MSVR, exact", msvr("exact"), "black", **DENSE),
+    "equispaced": Method(
+        "MSVR, equispaced", msvr("equispaced"), "#d55e00", needs="finufft", is_for_wide=False
+    ),
     "rff": Method("MSVR, rff", msvr("rff"), "#56b4e9"),
     "rff_cuda": Method("MSVR, rff, cuda", on_gpu(), "#cc79a7", "s", device="cuda"),
     "svr": peer("SVR", sklearn_svr, "s", has_tube=True, order=2),
@@ -288,6 +294,8 @@ def run_all(options: Any) -> list[Row]:
             continue
         sizes = [n for n in sorted(options.n) if n <= min(method.largest, options.max_n)]
         for epsilon in options.epsilon if method.has_tube else options.epsilon[:1]:
+            if epsilon > EPSILON and not method.is_for_wide:
+                continue
             for threads in options.threads:
                 cell = {"method": name, "epsilon": epsilon, "sizes": sizes}
                 cell |= {"repeats": options.repeats, "limit_s": options.limit_s}

@@ -1,7 +1,7 @@
 """The design matrix Phi of a training set, and the normal equations of Eq. (9) on it.
 
 Phi is in memory as a whole only if it is small: products are computed in blocks of its rows.
-`DenseDesign` serves every `FeatureMap`; the exact kernel has its own design in ``kernel_design``.
+`DenseDesign` serves every `FeatureMap`; ``equispaced`` has a faster design in ``toeplitz``.
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ class Gradient:
 
 
 class NormalEquations(Protocol):
-    """Interface of equations that give a direction, such as that of Eq. (9)."""
+    """Interface of equations that give a direction, exactly or approximately that of Eq. (9)."""
 
-    def direction(self, gradient: Gradient) -> Coefficients:
-        """Return a direction."""
+    def direction(self, gradient: Gradient, accuracy: float) -> Coefficients:
+        """Return a direction; `accuracy` is the error of F that may remain."""
         ...
 
 
@@ -215,7 +215,7 @@ class FixedGram:
     def __init__(self, gram: Gram, C: float, fit_intercept: bool) -> None:
         self._sums, self._weight_sum, self._factor = _centred_factor(gram, 2 * C, fit_intercept)
 
-    def direction(self, gradient: Gradient) -> Coefficients:
+    def direction(self, gradient: Gradient, accuracy: float) -> Coefficients:
         """Return -H^-1 g, exactly."""
         return without_intercept(
             gradient,
@@ -231,7 +231,7 @@ class ReweightedGram:
     def __init__(self, design: DenseDesign, fit_intercept: bool) -> None:
         self._design, self._fit_intercept = design, fit_intercept
 
-    def direction(self, gradient: Gradient) -> Coefficients:
+    def direction(self, gradient: Gradient, accuracy: float) -> Coefficients:
         """Return (W^s - W, b^s - b) of Eq. (11), exactly."""
         gram = self._design.weighted_gram(gradient.weights)
         sums, weight_sum, factor = _centred_factor(gram, 1.0, self._fit_intercept)
@@ -257,13 +257,13 @@ class NewtonGram:
         self._design, self._C, self._fit_intercept = design, C, fit_intercept
         self._reweighted = ReweightedGram(design, fit_intercept)
 
-    def direction(self, gradient: Gradient) -> Coefficients:
+    def direction(self, gradient: Gradient, accuracy: float) -> Coefficients:
         """Return the Newton direction, exactly."""
         n_features, n_outputs = gradient.coef.shape
         if n_outputs == 1 or n_features * n_outputs > MOST_COUPLED:
             if n_outputs == 1:  # H = c along the only direction there is
                 gradient = replace(gradient, weights=2 * self._C * (gradient.weights > 0))
-            return self._reweighted.direction(gradient)
+            return self._reweighted.direction(gradient, accuracy)
         # one block for each pair of outputs, with a last row and column for b
         n = n_features + 1
         matrix = gradient.coef.new_zeros(n_outputs, n, n_outputs, n)

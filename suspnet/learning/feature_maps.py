@@ -1,7 +1,8 @@
 """Finite feature maps phi with phi(x) . phi(z) close to the RBF kernel exp(-|x - z|^2 / sigma^2).
 
 This module holds the interface of a map, random Fourier features, Nystroem landmarks and the exact
-kernel; `MAPS` of ``msvr`` lists them.
+kernel. The map on a regular grid of frequencies is in ``equispaced``; `MAPS` of ``msvr`` lists all
+maps.
 """
 
 import math

@@ -119,23 +119,28 @@ class IRWLS:
         design: Design,
         Y: Tensor,
         on_iteration: Callable[[Iteration], None] | None = None,
+        start: Coefficients | None = None,
     ) -> Solution:
         """Return the minimiser of F and a bound on its distance from the optimum.
 
-        `Y`: (n_samples, n_outputs). Raises ValueError if a system is singular to working precision.
+        `Y`: (n_samples, n_outputs); `start` is a point near the optimum, None is 0. Raises
+        ValueError if a system is singular to working precision.
         """
         functional = Functional(design, self.C, self.epsilon, self.fit_intercept)
-        equations = _Equations(design, self)
+        equations = _Equations(design, self, is_near=start is not None)
         coef = torch.zeros(design.n_features, Y.shape[1], dtype=torch.float64, device=Y.device)
         intercept = torch.zeros_like(coef[0])
         residual = Y.double().clone()
+        if start is not None:
+            coef, intercept = start.coef.clone(), start.intercept.clone()
+            residual -= design.matvec_rmatvec(start, lambda rows, moved: moved[:, :0])[0]
         objective, lower = functional.value(coef, residual), 0.0
         gradient = functional.gradient(coef, residual)
         objectives, n_iter, has_stagnated = [objective], 0, False
         # The loop ends: every pass increases n_iter, except that a step of 0 takes the next kind of
         # equations, and stops when each kind had one.
         while (gap := _gap(objective, lower)) > self.tol and n_iter < self.max_iter:
-            direction = equations.direction(gradient)
+            direction = equations.direction(gradient, self.tol * objective)
             # One pass over the samples computes everything needed for the step, the next gradient
             # (after a full step) and the bound.
             change, products = design.matvec_rmatvec(
@@ -184,7 +189,7 @@ class IRWLS:
 class _Equations:
     """The equations in use: the next kind after slow steps, without end if one kind is all."""
 
-    def __init__(self, design: Design, solver: IRWLS) -> None:
+    def __init__(self, design: Design, solver: IRWLS, is_near: bool = False) -> None:
         self._slow_decrease = solver.slow_decrease
         make = {"fixed": design.fixed, "newton": design.newton, "reweighted": design.reweighted}
         self._kinds = KINDS[solver.solver]
@@ -192,13 +197,14 @@ class _Equations:
             functools.partial(make[name], solver.C, solver.fit_intercept) for name in self._kinds
         ]
         self._made: dict[int, NormalEquations] = {}
-        self._place = self._n_slow = self._n_failed = 0
+        self._place = len(self._kinds) - 1 if is_near else 0
+        self._n_slow = self._n_failed = 0
         self._decrement = float("inf")
 
-    def direction(self, gradient: Gradient) -> Coefficients:
+    def direction(self, gradient: Gradient, accuracy: float) -> Coefficients:
         if self._place not in self._made:
             self._made[self._place] = self._make[self._place]()
-        return self._made[self._place].direction(gradient)
+        return self._made[self._place].direction(gradient, accuracy)
 
     @property
     def have_failed(self) -> bool:

@@ -17,6 +17,7 @@ from suspnet.ground.settings import check_number, check_settings, setting
 from suspnet.ground.tensors import as_tensor, check_device
 from suspnet.ground.types import FloatArray
 from suspnet.learning.design import DenseDesign, Design
+from suspnet.learning.equispaced import EquispacedFeatures, equispaced_fourier
 from suspnet.learning.feature_maps import (
     FeatureMap,
     FourierFeatures,
@@ -30,6 +31,7 @@ from suspnet.learning.feature_maps import (
 from suspnet.learning.irwls import IRWLS, Iteration, Status
 from suspnet.learning.kernel_design import KernelDesign
 from suspnet.learning.regressor import Regressor, arrays_of
+from suspnet.learning.toeplitz import EquispacedDesign
 
 PREDICT_ROWS = 8192
 """Rows predicted at once, so that their features fit into memory."""
@@ -42,18 +44,21 @@ class MapKind:
     """A kind of feature map: its constructor, its class and its design matrix.
 
     ``make(X, sigma, n_components, seed, kernel_tol)`` returns the map for samples X, `holds` is the
-    class that `restore` rebuilds from its tensors.
+    class that `restore` rebuilds from its tensors. `on_gpu`: it runs on other devices than
+    the CPU.
     """
 
     make: Callable[[Tensor, float, int, int, float], FeatureMap]
     holds: Callable[..., FeatureMap]
     design: Callable[[Any, Tensor], Design] = DenseDesign
+    on_gpu: bool = True
 
 
 MAPS = {
     "rff": MapKind(random_fourier, FourierFeatures),
     "orf": MapKind(orthogonal_fourier, FourierFeatures),
     "nystroem": MapKind(nystroem, LandmarkFeatures),
+    "equispaced": MapKind(equispaced_fourier, EquispacedFeatures, EquispacedDesign, on_gpu=False),
     "exact": MapKind(exact, KernelColumns, KernelDesign),
 }
 """Every feature map by name; a new one is added here."""
@@ -109,10 +114,11 @@ class MSVR(Regressor):
     epsilon: float = setting(
         1e-3, "Radius of the tube within which residuals cost nothing", "scaled outputs", low=0
     )
-    feature_map: Literal["rff", "orf", "nystroem", "exact"] = setting(
+    feature_map: Literal["rff", "orf", "nystroem", "equispaced", "exact"] = setting(
         "rff",
         "Approximation of the kernel: random Fourier features, orthogonal ones, Nystroem "
-        "landmarks, or the kernel itself (memory as data.n_train squared)",
+        "landmarks, modes on a grid (three inputs at most), or the kernel itself (memory as "
+        "data.n_train squared)",
     )
     n_components: int = setting(
         1024,
@@ -121,7 +127,10 @@ class MSVR(Regressor):
         low=1,
     )
     kernel_tol: float = setting(
-        1e-6, "Error of the kernel at which nystroem stops adding landmarks", above=0
+        1e-6,
+        "Error of the kernel that equispaced may make, and at which nystroem stops adding "
+        "landmarks",
+        above=0,
     )
     fit_intercept: bool = setting(True, "Whether to fit an intercept, which is not penalised")
     max_iter: int = setting(
@@ -138,7 +147,9 @@ class MSVR(Regressor):
     solver: Literal["newton", "irwls"] = setting(
         "newton", "Algorithm: that of the paper as printed, or a faster one with the same minimum"
     )
-    device: str = setting("cpu", "Device of the fit", rule="cpu or cuda")
+    device: str = setting(
+        "cpu", "Device of the fit; equispaced runs on the CPU only", rule="cpu or cuda"
+    )
     callback: Callable[[Iteration], None] | None = setting(
         None, "Function called after each iteration, which train.py sets itself", rule="null"
     )
@@ -168,7 +179,10 @@ class MSVR(Regressor):
             constant = targets[:1]
         design, targets = kind.design(self._map, samples), targets - constant
         parts = self.C, self.epsilon, self.fit_intercept, self.max_iter, self.tol
-        solution = IRWLS(*parts, solver=self.solver).minimise(design, targets, self.callback)
+        solver, start = IRWLS(*parts, solver=self.solver), None
+        if isinstance(design, KernelDesign):
+            start = design.start(solver, targets)
+        solution = solver.minimise(design, targets, self.callback, start)
         self.coef_ = np.ascontiguousarray(solution.coef.cpu().numpy())
         self.intercept_ = (solution.intercept + constant.sum(dim=0)).cpu().numpy()
         self.n_iter_ = solution.n_iter
@@ -230,3 +244,8 @@ class MSVR(Regressor):
             check_number("sigma", self.sigma, above=0)
         if not isinstance(self.fit_intercept, bool | np.bool_):
             raise TypeError(f"`fit_intercept` must be True or False, got {self.fit_intercept!r}")
+        if not MAPS[self.feature_map].on_gpu and torch.device(self.device).type != "cpu":
+            raise ValueError(
+                f"feature_map={self.feature_map!r} runs on the CPU: set device='cpu', or use "
+                "feature_map='rff'"
+            )

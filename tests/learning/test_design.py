@@ -106,7 +106,7 @@ def test_directions_solve_the_dense_normal_equations(weights, fit_intercept):
     offset = normal(2) * (fit_intercept and weights != "all zero")
     gradient = Gradient(normal(9, 2), offset, w, normal(60, 2))
     equations = getattr(design, "fixed" if weights == "fixed" else "reweighted")(C, fit_intercept)
-    found = equations.direction(gradient)
+    found = equations.direction(gradient, 0.0)
     extended = np.column_stack([Phi, np.ones(60)]) if fit_intercept else Phi
     hessian = extended.T @ (w.numpy()[:, None] * extended)
     hessian[:9, :9] += np.eye(9)

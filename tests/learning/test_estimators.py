@@ -1,12 +1,14 @@
 """Every estimator keeps scikit-learn's contract, on arrays as people have them."""
 
+import importlib.util
+
 import numpy as np
 import pytest
 import torch
 from learning_reference import smooth_data
 from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
-from sklearn.utils.estimator_checks import parametrize_with_checks
+from sklearn.utils.estimator_checks import estimator_checks_generator, parametrize_with_checks
 
 from suspnet.learning import (
     MSVR,
@@ -29,6 +31,7 @@ ESTIMATORS = [
     MVGPR(n_restarts=0, n_optimize=100),
 ]
 MAPPED = [MSVR(feature_map=name, n_components=64) for name in ("orf", "nystroem", "exact")]
+GRID = [MSVR(feature_map="equispaced")] if importlib.util.find_spec("finufft") else []
 
 
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.SkipTestWarning")
@@ -37,13 +40,38 @@ def test_estimator_keeps_the_contract(estimator, check):
     check(estimator)
 
 
+OF_A_MAP = ("check_methods_subset_invariance",)
+"""Checks that depend on the feature map; the others are those of `MSVR` with any.
+
+tests/learning/test_msvr.py has the model that is stored, for every map.
+"""
+
+
+def of_a_map(estimator):
+    for _, check in estimator_checks_generator(estimator):
+        name = check.func.__name__
+        yield pytest.param(check, id=name, marks=() if name in OF_A_MAP else pytest.mark.slow)
+
+
+@pytest.mark.filterwarnings("ignore::sklearn.exceptions.SkipTestWarning")
+@pytest.mark.parametrize("check", list(of_a_map(MSVR(feature_map="equispaced"))))
+def test_equispaced_keeps_the_contract_with_few_inputs(check):
+    pytest.importorskip("finufft")
+    try:
+        check(MSVR(feature_map="equispaced"))
+    except (ValueError, AssertionError) as error:
+        if "supports at most 3 inputs" not in f"{error} {error.__cause__} {error.__context__}":
+            raise
+        pytest.skip("the check gives more than three inputs")
+
+
 def by_name(estimators):
     return [pytest.param(one, id=str(one).partition(", n_")[0]) for one in estimators]
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 @pytest.mark.parametrize("column", [0, [0], [0, 1]])
-@pytest.mark.parametrize("estimator", by_name(ESTIMATORS + MAPPED))
+@pytest.mark.parametrize("estimator", by_name(ESTIMATORS + MAPPED + GRID))
 def test_restored_model_predicts_in_the_shape_and_type_of_the_fitted_one(estimator, column, dtype):
     X, Y = (array.astype(dtype) for array in smooth_data(0, n_samples=40))
     model = clone(estimator).fit(X, Y[:, column])
@@ -110,7 +138,7 @@ def test_memory_layout_of_the_data_does_not_matter(estimator, layout):
     np.testing.assert_allclose(again.predict(as_laid_out(X)), expected, **same)
 
 
-@pytest.mark.parametrize("estimator", by_name(ESTIMATORS + MAPPED))
+@pytest.mark.parametrize("estimator", by_name(ESTIMATORS + MAPPED + GRID))
 def test_prediction_in_chunks_is_the_whole(estimator, monkeypatch):
     X, Y = smooth_data(3, n_samples=40)
     model = clone(estimator).fit(X, Y)

@@ -108,9 +108,12 @@ def test_map_is_rebuilt_from_its_tensors(name):
 @pytest.mark.parametrize("name", sorted(MAPS))
 @pytest.mark.parametrize("n_outputs", [1, 3])
 def test_apply_is_the_product_with_the_features(name, n_outputs):
+    if name == "equispaced":
+        pytest.importorskip("finufft")
     X = samples()
     phi = MAPS[name].make(X, SIGMA, 20, 0)
     coef = torch.tensor(np.random.default_rng(1).standard_normal((phi(X).shape[1], n_outputs)))
     expected = phi(X) @ coef
     assert float(expected.abs().max()) > 0.5
-    np.testing.assert_allclose(phi.apply(X, coef), expected, atol=1e-8, rtol=0)
+    # The non-uniform FFT is right to a hundredth of `kernel_tol`, times the coefficients.
+    np.testing.assert_allclose(phi.apply(X, coef), expected, atol=1e-6, rtol=0)

@@ -205,7 +205,7 @@ def test_lower_bound_of_the_exact_direction_is_the_minimum_of_the_quadratic(epsi
     W, b = np.full((Phi.shape[1], 2), 0.1), np.full(2, 0.2 * fit_intercept)
     nowhere = Coefficients(torch.zeros(len(W), 2).double(), torch.zeros(2).double())
     weak, gradient = bound_from(nowhere, W, b, 10.0, epsilon, fit_intercept)
-    exact = design.reweighted(10.0, fit_intercept).direction(gradient)
+    exact = design.reweighted(10.0, fit_intercept).direction(gradient, 0.0)
     bound, _ = bound_from(exact, W, b, 10.0, epsilon, fit_intercept)
     inner = (gradient.coef * exact.coef).sum() + (gradient.intercept * exact.intercept).sum()
     # The quadratic falls by half the decrement.
@@ -241,8 +241,8 @@ class Rigged:
         equations, change = getattr(self._design, kind)(C, fit_intercept), self._changes[kind]
 
         class Changed:
-            def direction(self, gradient):
-                right = equations.direction(gradient)
+            def direction(self, gradient, accuracy):
+                right = equations.direction(gradient, accuracy)
                 return Coefficients(change * right.coef, change * right.intercept)
 
         return Changed()
