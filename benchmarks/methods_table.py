@@ -1,12 +1,11 @@
-"""How close methods come to the bound of the curves: a table, to which a method can be added.
+"""How close methods come to the bound of the curves: a table.
 
     python benchmarks/methods_table.py
-    python benchmarks/methods_table.py --plugin my_methods.py --n-train 300 1000
+    python benchmarks/methods_table.py --n-train 300 1000
 
 Every method learns from the same features of the same curves and is scored on the same test curves.
 An entry is the rms error over the Cramer-Rao bound: 1 is the best that any unbiased method can do.
-A module given by --plugin registers methods by suspnet.register_method. The methods have the
-defaults of their constructors, which are not tuned.
+The methods have the defaults of their constructors, which are not tuned.
 """
 
 import argparse
@@ -20,7 +19,6 @@ from sklearn.neighbors import KNeighborsRegressor
 from tabulate import tabulate
 
 from suspnet.cli.kinds import read_protocol, read_vehicles
-from suspnet.cli.plugins import load_plugins
 from suspnet.curves.curves import CurveSettings
 from suspnet.curves.problem import TEST, TRAIN, Problem
 from suspnet.ground.storage import write_atomically
@@ -74,15 +72,10 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
 def main() -> None:
     """Print the table, and write it where --output says."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--plugin", action="append", default=[], help="registers methods")
     parser.add_argument("--n-train", type=int, nargs="+", default=[1000])
     parser.add_argument("--n-test", type=int, default=1000)
     parser.add_argument("--output", type=Path, help="CSV file")
     options = parser.parse_args()
-    try:
-        load_plugins(options.plugin)
-    except ValueError as error:
-        parser.error(str(error))
     rows = records(options.n_train, options.n_test)
     print(table(rows))
     if options.output is not None:

@@ -10,7 +10,7 @@ from suspnet._version import __version__ as __version__
 
 _NAMES = {
     "cli.kinds": "read_protocol read_rigs read_vehicles",
-    "cli.plugins": "register_features register_method",
+    "cli.own_methods": "register_features register_method",
     "vehicle.quarter_car": "QuarterCar",
     "vehicle.rig": "Rig",
     "vehicle.spatial_vehicle": "SpatialVehicle",

@@ -6,8 +6,8 @@ from suspnet.bounds.information import fisher_information as fisher_information
 from suspnet.cli.kinds import read_protocol as read_protocol
 from suspnet.cli.kinds import read_rigs as read_rigs
 from suspnet.cli.kinds import read_vehicles as read_vehicles
-from suspnet.cli.plugins import register_features as register_features
-from suspnet.cli.plugins import register_method as register_method
+from suspnet.cli.own_methods import register_features as register_features
+from suspnet.cli.own_methods import register_method as register_method
 from suspnet.curves.components import CurveFeatures as CurveFeatures
 from suspnet.curves.curves import CurveSettings as CurveSettings
 from suspnet.curves.estimates import EstimateSettings as EstimateSettings

@@ -47,8 +47,6 @@ NEEDS_PLUGIN = "hydra/launcher", "hydra.launcher"
 """Begin overrides that only an extra of the package understands."""
 PLACEHOLDERS = "experiment=best", "vehicle=mine", "vehicle=NAME"
 """Overrides whose options the user's own --config-dir holds."""
-OF_PLUGINS = "model=kernel_ridge", "model.alpha", "protocol.feature", "+search.grids.kernel_ridge"
-"""Begin overrides of what a module given by --plugin registers."""
 OF_EXAMPLES = {"configs/model/kernel_ridge.yaml"}
 """Files that a page tells a reader to write."""
 OF_PROGRAM = {"-m", "--help", "--cfg", "job"}
@@ -83,9 +81,6 @@ def overrides_of(line):
     if "--config-dir" in words:
         place = words.index("--config-dir")
         words = [word for word in words[:place] + words[place + 2 :] if word not in PLACEHOLDERS]
-    if "--plugin" in words:
-        place = words.index("--plugin")
-        words = [w for w in words[:place] + words[place + 2 :] if not w.startswith(OF_PLUGINS)]
     words = [w for w in words if w not in OF_PROGRAM and not w.startswith(NEEDS_PLUGIN)]
     typed = dict(word.lstrip("+").partition("=")[::2] for word in words)
     implied = of_healthy(typed, (), str) if PROGRAMS[start] == "train" else []

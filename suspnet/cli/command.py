@@ -31,7 +31,6 @@ Stiffness and damping of train suspensions from three vertical accelerometers.
 {chr(10).join(f"  {name:12}{meaning}" for name, meaning in MEANINGS.items())}
 
   suspnet PROGRAM --help    options and settings of a program
-  suspnet PROGRAM --plugin FILE ...    first run a Python file of yours, which registers methods
   suspnet --version
 
   suspnet demo

@@ -73,9 +73,6 @@ def check_parser() -> ArgumentParser:
     add("--config-dir", type=Path, metavar="DIR", help=description)
     run = "training whose models must read the trips; may be given several times [path; none]"
     add("--run", type=Path, action="append", metavar="DIR", help=run)
-    # taken off before: it is here for --help
-    plugin = "Python file of yours that is run first and registers the methods of --run [path]"
-    add("--plugin", action="append", metavar="FILE", help=plugin)
     return parser
 
 

@@ -8,7 +8,7 @@ import re
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager, nullcontext
 from difflib import get_close_matches
@@ -76,15 +76,11 @@ def main(name: str) -> None:
     # a library of optional readers greets at its import, on the output that Hydra has set up
     logging.getLogger("numexpr").setLevel(logging.WARNING)
     sys.argv[1:] = map(_without_password, sys.argv[1:])
-    plugins: list[str] = []
-    run(lambda: plugins.extend(_load_plugins(sys.argv)))
     if name in WITH_OPTIONS:
         run(lambda: _run_with_options(name))
         return
     sys.argv[1:] = as_overrides(sys.argv[1:])
-    program = hydra.main(version_base="1.3", config_path=CONFIGS, config_name=name)(
-        _task_of(name, plugins)
-    )
+    program = hydra.main(version_base="1.3", config_path=CONFIGS, config_name=name)(_task_of(name))
     with signals.until_it_listens() if name == "serve" else nullcontext():
         run(program, unwinds=name != "serve")
 
@@ -110,23 +106,9 @@ def _without_password(argument: str) -> str:
     return PASSWORD.sub(take, argument) if SERVER.search(argument) else argument
 
 
-def _load_plugins(arguments: list[str]) -> list[str]:
-    """Load what ``--plugin`` names and take it off the command line; return the files."""
-    if not any(argument.startswith("--plugin") for argument in arguments):
-        return []  # their module imports torch, which takes seconds
-    from suspnet.cli import plugins
-
-    files = plugins.take_plugins(arguments)
-    plugins.load_plugins(files)
-    return files
-
-
-def _task_of(name: str, plugins: Sequence[str] = ()) -> Callable[[DictConfig], None]:
+def _task_of(name: str) -> Callable[[DictConfig], None]:
     def program(config: DictConfig) -> None:
-        if plugins:  # in a worker of a multirun they are not loaded yet
-            import_module("suspnet.cli.plugins").load_plugins(plugins)
-        else:
-            _serve_workers(name, config)
+        _serve_workers(name, config)
         try:  # Hydra would print a line of its own about an error that leaves this function
             with named_extras("live" if name == "serve" else None):
                 main = _imported(name).main

@@ -51,7 +51,7 @@ CALIBRATED: dict[str, tuple[str, Any]] = {
 """Calibrated parts of a model by the name prefix of their arrays: attribute and class."""
 NOT_OF_THE_MODEL = ("arrays_sha256", "suspnet_version", "units")
 """Entries of model.json that do not describe the model itself."""
-OWN = "if it is your own, register it first: suspnet.{} in a script, --plugin FILE for a program"
+OWN = "if it is your own, register it first: suspnet.{} in a script"
 """Advice where a file names a method or a feature set that is not known."""
 NOT_A_MODEL = (
     *(ValueError, TypeError, KeyError, AttributeError, IndexError, ArithmeticError),

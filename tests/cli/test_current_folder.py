@@ -15,17 +15,20 @@ PLANTED = (
 )
 PROBE = """
 import multiprocessing, subprocess, sys
+from suspnet.cli.start import leave_current_folder
 from suspnet.ground.workers import fork_from_server, guarded
 
-with guarded(2) as executor:
-    executor.submit(len, "loky").result()
-process = multiprocessing.get_context("spawn").Process(target=print, args=("spawn",))
-process.start()
-process.join()
-fork_from_server("json", 2)
-with guarded(2) as executor:
-    executor.submit(len, "forkserver").result()
-subprocess.run([sys.executable, "-c", "import joblib, numpy"], check=True)
+if __name__ == "__main__":
+    leave_current_folder()
+    with guarded(2) as executor:
+        executor.submit(len, "loky").result()
+    process = multiprocessing.get_context("spawn").Process(target=print, args=("spawn",))
+    process.start()
+    process.join()
+    fork_from_server("json", 2)
+    with guarded(2) as executor:
+        executor.submit(len, "forkserver").result()
+    subprocess.run([sys.executable, "-c", "import joblib, numpy"], check=True)
 """
 """Starts a process in each of the ways in which programs do."""
 
@@ -61,12 +64,15 @@ def ran(arguments, cwd):
 @pytest.mark.representatives(1)
 @pytest.mark.parametrize("start", ["script", "module"])
 @pytest.mark.parametrize("program", PROGRAMS)
-def test_no_process_of_a_program_imports_from_the_current_folder(program, start, tmp_path):
+def test_no_program_imports_from_the_current_folder(program, start, tmp_path):
     # with `python -m suspnet` the user asks for what the folder holds of that name
     cwd = planted(tmp_path / "recordings", PLANTED[: None if start == "script" else -1])
-    (tmp_path / "probe.py").write_text(PROBE)
     script = [Path(sys.executable).with_name("suspnet")]
     started = script if start == "script" else [sys.executable, "-m", "suspnet"]
-    printed = ran([*started, program, "--plugin", tmp_path / "probe.py", "--help"], cwd)
-    assert "spawn" in printed
-    assert program in printed
+    assert program in ran([*started, program, "--help"], cwd)
+
+
+def test_no_process_that_a_program_starts_imports_from_the_current_folder(tmp_path):
+    cwd = planted(tmp_path / "recordings", PLANTED)
+    (tmp_path / "probe.py").write_text(PROBE)
+    assert "spawn" in ran([sys.executable, tmp_path / "probe.py"], cwd)

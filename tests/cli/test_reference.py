@@ -86,7 +86,6 @@ def test_help_is_of_what_is_chosen_on_the_command_line():
     assert "C: ${tuned.${group}.svr.C}" in done.stdout
     assert "landmarks" not in done.stdout
     assert "\nhydra:" not in done.stdout
-    assert "--plugin FILE runs a Python file of yours first" in done.stdout
 
 
 def test_vehicle_of_the_users_is_shown(tmp_path):

@@ -1,31 +1,20 @@
-"""Methods and feature sets of a user, registered from a script or a module of theirs.
+"""Methods and feature sets of a user, which a script of theirs registers."""
 
-A module is run only if the user names it on the command line, ``--plugin FILE``; a configuration
-or a model file, which may come from someone else, never names one.
-"""
-
-import importlib.util
 import inspect
 import json
 import re
-import sys
-import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import is_dataclass
-from pathlib import Path
 from typing import Any
 
 from hydra.core.config_store import ConfigStore
-from joblib.externals.loky.backend.reduction import cloudpickle
 
 from suspnet.cli.kinds import KINDS
 from suspnet.curves.components import FEATURE_SETS
 from suspnet.curves.extraction import FeatureSet
-from suspnet.ground.storage import why
 from suspnet.learning import METHODS
 from suspnet.runs.tables import MODEL_TITLES, REFINED
 
-OPTION = "--plugin"
 NAME = re.compile(r"[a-z][a-z0-9_]*", re.ASCII)
 METHOD_NAMES = ("fit", "predict", "get_params", "set_params", "state", "restore")
 """Attributes that a registered method must have."""
@@ -109,68 +98,6 @@ def register_features(cls: type) -> None:
     kind = cls.kind  # type: ignore[attr-defined]
     _check_name("kind", kind, SHIPPED[1])
     FEATURE_SETS[kind] = cls
-
-
-def load_plugins(files: Sequence[str]) -> None:
-    """Run each Python file once, so that it registers what it holds.
-
-    ValueError if a file does not exist, is no Python file, or fails.
-    """
-    for file in files:
-        path = Path(file)
-        if path.suffix != ".py" or not path.is_file():
-            raise ValueError(f"{OPTION} {file}: there is no such Python file (NAME.py)")
-        name = f"suspnet_plugin_{path.stem}"
-        loaded = sys.modules.get(name)
-        if loaded is None:
-            _run(name, path.resolve())
-        elif loaded.__file__ != str(path.resolve()):
-            raise ValueError(f"{OPTION} {file}: another file of this name is loaded already")
-
-
-def _run(name: str, path: Path) -> None:
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = sys.modules[name] = importlib.util.module_from_spec(spec)  # dataclasses look there
-    try:
-        spec.loader.exec_module(module)
-    except Exception as error:
-        del sys.modules[name]
-        frames = traceback.extract_tb(error.__traceback__)
-        lines = [frame.lineno for frame in frames if frame.filename == str(path)]
-        if isinstance(error, SyntaxError):
-            lines = [error.lineno]
-        place = f"{path}:{lines[-1]}" if lines else path
-        reason = why(error) if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
-        raise ValueError(f"{OPTION} {place}: {reason}") from error
-    cloudpickle.register_pickle_by_value(module)  # worker processes cannot import it by its name
-
-
-def take_plugins(arguments: list[str]) -> list[str]:
-    """Remove each ``--plugin FILE`` from a command line and return the files.
-
-    ValueError if a file is missing.
-
-    Examples
-    --------
-    >>> line = ["train.py", "--plugin", "mine.py", "model=mine", "--plugin=too.py"]
-    >>> take_plugins(line), line
-    (['mine.py', 'too.py'], ['train.py', 'model=mine'])
-    """
-    files, others = [], []
-    words = iter(arguments)
-    for argument in words:
-        option, _, file = argument.partition("=")
-        if option != OPTION:
-            others.append(argument)
-            continue
-        file = file or next(words, "")
-        if not file:
-            raise ValueError(f"{OPTION} needs a file: {OPTION} my_methods.py")
-        files.append(file)
-    arguments[:] = others
-    return files
 
 
 def _check_name(key: str, name: Any, shipped: frozenset[str]) -> None:

@@ -1,7 +1,8 @@
-"""Methods and feature sets of a user: registered, saved, named on the command line only."""
+"""Methods and feature sets of a user: registered by a script of theirs, and saved."""
 
 import json
 import re
+import subprocess
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,8 +17,9 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.ensemble import RandomForestRegressor
 from sklearn.linear_model import Ridge
 
+import suspnet
 from suspnet import TEST, LinearRegression, Problem, load_model, save_model, train
-from suspnet.cli import kinds, plugins
+from suspnet.cli import kinds
 from suspnet.cli import train as program
 from suspnet.curves.components import FEATURE_SETS
 from suspnet.curves.curves import CurveSettings
@@ -35,8 +37,12 @@ CODE = "\n".join(
 MODULE = f"""{CODE}
 import suspnet
 
+from suspnet.cli.command import main
+
 suspnet.register_method("kernel_ridge", KernelRidge, "kernel ridge")
 suspnet.register_features(Levels)
+if __name__ == "__main__":
+    main()
 """
 SETTINGS = CurveSettings(200, 100, None)
 TINY = ("data.n_train=200", "data.n_test=100", "data.n_calibrate=null", "figures=false")
@@ -51,7 +57,6 @@ def _registered_here_only(monkeypatch):
         if "model" in (ConfigStore.instance().repo)
         else None
     )
-    modules = set(sys.modules)
     yield
     for one, old in zip(tables, before, strict=True):
         one.clear()
@@ -60,9 +65,6 @@ def _registered_here_only(monkeypatch):
         ConfigStore.instance().repo.pop("model", None)
     else:
         ConfigStore.instance().repo["model"] = stored
-    for name in set(sys.modules) - modules:
-        if name.startswith("suspnet_plugin_"):
-            del sys.modules[name]
 
 
 class Mean(RegressorMixin, BaseEstimator):
@@ -87,7 +89,7 @@ class Mean(RegressorMixin, BaseEstimator):
 def test_registered_method_is_trained_saved_and_refused_where_it_is_not_known(
     quarter_car, task, tmp_path
 ):
-    plugins.register_method("mean", Mean, "the mean")
+    suspnet.register_method("mean", Mean, "the mean")
     problem = Problem(quarter_car, task(), SETTINGS)
     metrics = train(problem, Mean(), str(tmp_path / "run"), figures=False)
     assert metrics["model"] == "mean"
@@ -95,7 +97,7 @@ def test_registered_method_is_trained_saved_and_refused_where_it_is_not_known(
     assert type(model.estimator) is Mean
     assert json.loads((tmp_path / "run" / "metrics.json").read_text())["rms_ratio"]
     del METHODS["mean"]
-    with pytest.raises(ModelFileError, match=r"'mean'; if it is your own.*register_method.*--plug"):
+    with pytest.raises(ModelFileError, match=r"'mean'; if it is your own.*register_method in a"):
         load_model(tmp_path / "run")
 
 
@@ -133,25 +135,12 @@ def test_trees_of_the_page_are_fitted_again_when_they_are_loaded(quarter_car, ta
     (code,) = re.findall(r"```python\n(from sklearn[^`]*class Trees.*?)```", page, re.DOTALL)
     namespace = {"__name__": "example"}
     exec(compile(code, "docs/datasets.md", "exec"), namespace)
-    plugins.register_method("trees", namespace["Trees"])
+    suspnet.register_method("trees", namespace["Trees"])
     problem = Problem(quarter_car, task(), SETTINGS)
     model = fit(problem, namespace["Trees"](n_estimators=10), None)
     save_model(tmp_path, model)
     inputs = problem.features(TEST).complete().inputs
     assert np.array_equal(load_model(tmp_path).predict(inputs), model.predict(inputs))
-
-
-def test_grid_of_an_own_method_is_searched(tmp_path):
-    (tmp_path / "mine.py").write_text(MODULE)
-    ended = typed(
-        program,
-        *("--plugin", "mine.py", "model=kernel_ridge", "search=table5", *TINY),
-        *("+search.grids.kernel_ridge={alpha: [1e-6, 1e-5, 1e-4]}", "hydra.run.dir=run"),
-        cwd=tmp_path,
-    )
-    assert ended.returncode == 0, ended.stderr
-    searched = json.loads((tmp_path / "run" / "metrics.json").read_text())["search"]
-    assert [one["alpha"] for one in searched["settings"]] == [1e-6, 1e-5, 1e-4]
 
 
 UNSAVEABLE = {
@@ -174,7 +163,7 @@ UNSAVEABLE = {
 @pytest.mark.parametrize("way", UNSAVEABLE)
 def test_method_that_is_not_restored_is_not_saved(way, quarter_car, task, tmp_path, monkeypatch):
     state, restore, words = UNSAVEABLE[way]
-    plugins.register_method("mean", Mean)
+    suspnet.register_method("mean", Mean)
     problem = Problem(quarter_car, task(), SETTINGS)
     model = fit(problem, Mean(), None)
     monkeypatch.setattr(Mean, "state", state)
@@ -201,7 +190,7 @@ def test_method_that_is_not_restored_is_not_saved(way, quarter_car, task, tmp_pa
 def test_method_that_would_not_work_is_not_registered(name, cls, title, error, words):
     before = dict(METHODS)
     with pytest.raises(error, match=words):
-        plugins.register_method(name, cls, title)
+        suspnet.register_method(name, cls, title)
     assert before == METHODS
 
 
@@ -231,13 +220,13 @@ class Middle(FeatureSet):
 @pytest.mark.parametrize("part", ["kind", "extract", "relative"])
 def test_feature_set_that_lacks_a_part_is_not_registered(part, monkeypatch):
     with pytest.raises(TypeError, match="dataclass"):
-        plugins.register_features(Mean)
-    plugins.register_features(Middle)
+        suspnet.register_features(Mean)
+    suspnet.register_features(Middle)
     monkeypatch.delattr(Middle, part)
     with pytest.raises(
         TypeError, match=rf"the feature set Middle lacks {part}; suspnet.FeatureSet"
     ):
-        plugins.register_features(Middle)
+        suspnet.register_features(Middle)
 
 
 @pytest.mark.parametrize("part", ["names", "parts"])
@@ -251,44 +240,24 @@ def test_table_of_another_width_than_its_names_is_refused(part, quarter_car, tas
         train(problem, LinearRegression())
 
 
-def test_module_named_on_the_command_line_adds_method_and_features(tmp_path):
+def test_script_of_the_user_trains_and_searches_its_method_with_its_features(tmp_path):
     (tmp_path / "mine.py").write_text(MODULE)
     run = tmp_path / "run"
-    ended = typed(
-        program,
-        *("--plugin", "mine.py", "model=kernel_ridge", "model.alpha=1e-5", *TINY),
-        *("protocol.feature_set=levels", "protocol.feature_settings={half_width_hz: 0.2}"),
-        f"hydra.run.dir={run}",
+    subprocess.run(
+        [
+            *(sys.executable, "mine.py", "train", "model=kernel_ridge", "search=table5", *TINY),
+            *("protocol.feature_set=levels", "protocol.feature_settings={half_width_hz: 0.2}"),
+            *("+search.grids.kernel_ridge={alpha: [1e-6, 1e-5]}", f"hydra.run.dir={run}"),
+        ],
         cwd=tmp_path,
+        check=True,
     )
-    assert ended.returncode == 0, ended.stderr
+    searched = json.loads((run / "metrics.json").read_text())["search"]
+    assert [one["alpha"] for one in searched["settings"]] == [1e-6, 1e-5]
+    exec(compile(MODULE, "mine.py", "exec"), {"__name__": "mine"})
     model = load_model(run)
     assert model.name == "kernel_ridge"
-    assert model.estimator.alpha == 1e-5
     assert model.task.extractor.half_width_hz == 0.2
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--plugin", "nothing.py"), "--plugin nothing.py: there is no such Python file"),
-        (("--plugin", "text.txt"), "there is no such Python file"),
-        (("--plugin",), "--plugin needs a file"),
-        (("--plugin=broken.py",), "broken.py:2: ZeroDivisionError: division by zero"),
-        (("--plugin=deeper.py",), "deeper.py:3: TypeError: the JSON object"),
-        (("--plugin=half.py",), "half.py:2: SyntaxError: "),
-    ],
-)
-def test_module_that_cannot_be_run_is_one_line(arguments, words, tmp_path):
-    (tmp_path / "text.txt").write_text("x = 1\n")
-    (tmp_path / "broken.py").write_text("x = 1\nx / 0\n")
-    (tmp_path / "deeper.py").write_text("import json\n\njson.loads(None)\n")
-    (tmp_path / "half.py").write_text("x = 1\nx = (\n")
-    ended = typed(program, *arguments, cwd=tmp_path)
-    assert ended.returncode == 1
-    assert words in ended.stderr
-    assert "Traceback" not in ended.stderr
-    assert not (tmp_path / "outputs").exists()
 
 
 def test_configuration_names_no_module(tmp_path):
