@@ -16,7 +16,7 @@ from suspnet.ground.wording import count
 def main(config: DictConfig) -> None:
     """Write the frames of all trips of a folder into files; report counts on standard error."""
     start_s = time.monotonic()
-    replay = Replay(Path(config.trips), config.frame_s, config.start, config.zone, config.times)
+    replay = Replay(Path(config.trips), config.frame_s, config.zone, config.times)
     frames = replay.frames()
     if config.progress:
         frames = bar("frames", items=frames, unit="frame")

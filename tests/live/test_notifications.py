@@ -11,8 +11,7 @@ import sqlite3
 import ssl
 import subprocess
 import threading
-import time
-from contextlib import closing, contextmanager, nullcontext, suppress
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from email import message_from_bytes, policy
@@ -35,7 +34,7 @@ from notified import (
 from trip_records import trip
 
 from suspnet.depot.live import notifier as notifier_module
-from suspnet.depot.live.channels import AddressError, DeliveryError, Email, Webhook
+from suspnet.depot.live.channels import AddressError, DeliveryError, Webhook
 from suspnet.depot.live.notifier import Notifier, read_rules
 from suspnet.ground.findings import parts_of, together
 from suspnet.ground.parameters import Severity
@@ -272,58 +271,6 @@ def test_a_webhook_is_signed_and_its_secret_stays_secret(tmp_path, caplog, monke
         webhooks.Webhook(KEY).verify(body.replace(b"act", b"act "), headers)
     assert KEY not in caplog.text
     assert KEY not in (tmp_path / "a.db").read_bytes().decode(errors="replace")
-
-
-@contextmanager
-def dripping(answers, drip):
-    """Serve a connection: answer its requests, the first unasked, then drip until it is closed."""
-    with socket.create_server(("127.0.0.1", 0)) as server:
-
-        def serve():
-            connection, _ = server.accept()
-            with connection, suppress(OSError):
-                connection.settimeout(10)
-                for i, answer in enumerate(answers):
-                    if i:
-                        connection.recv(65536)
-                    connection.sendall(answer)
-                while True:  # ends with the connection
-                    connection.sendall(drip)
-                    time.sleep(0.05)
-
-        thread = threading.Thread(target=serve)
-        thread.start()
-        yield server.getsockname()[1]
-        thread.join(10)
-        assert not thread.is_alive()
-
-
-HEAD = b"HTTP/1.1 200 OK\r\nContent-Length: 99999999\r\n"
-ANSWERS = [b"220 x\r\n", *[b"250 x\r\n"] * 3, b"354 x\r\n", b"250 x\r\n"]
-DRIPS = {
-    "webhook, status": ("webhook", [b"", b""], b"H", False),
-    "webhook, head": ("webhook", [b"", HEAD], b"X", True),
-    "webhook, content": ("webhook", [b"", HEAD + b"\r\n"], b"X", True),
-    "email, greeting": ("email", [], b"2", False),
-    "email, last answer": ("email", ANSWERS[:-1], b"2", False),
-    "email, goodbye": ("email", ANSWERS, b"2", True),
-}
-
-
-@pytest.mark.parametrize("what", DRIPS)
-def test_a_server_that_drips_its_answer_has_one_deadline_for_a_message(monkeypatch, what):
-    """What it has accepted by its first line is accepted, and not sent again."""
-    kind, answers, drip, is_accepted = DRIPS[what]
-    monkeypatch.setattr("suspnet.depot.live.channels.DEADLINE_S", 0.5)
-    with dripping(answers, drip) as port:
-        channel = {
-            "webhook": lambda: Webhook(f"http://127.0.0.1:{port}/a?b=c"),
-            "email": lambda: Email("127.0.0.1", port, security="none", sender="s@example.org"),
-        }[kind]()
-        begin = time.monotonic()
-        with nullcontext() if is_accepted else pytest.raises(DeliveryError, match="no answer wit"):
-            channel.send(MESSAGE)
-        assert time.monotonic() - begin < 5
 
 
 @pytest.mark.skipif(not shutil.which("openssl"), reason="needs openssl to make a certificate")

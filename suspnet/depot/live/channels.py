@@ -10,12 +10,9 @@ import hmac
 import http.client
 import re
 import smtplib
-import socket
 import ssl
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from email.message import EmailMessage
 from email.utils import formatdate
@@ -30,8 +27,8 @@ from suspnet.runs.language import speaking
 from suspnet.trains.history.outbox import Message
 from suspnet.trains.pages.messages import subject, text
 
-DEADLINE_S, CONNECT_S = 60.0, 20.0
-"""Longest time until a server has accepted a message, and until it answers at all, [s]."""
+TIMEOUT_S = 20.0
+"""Longest time that a server may take for a step of its answer, [s]."""
 ADDRESS = re.compile(r"[^@\s<>,;:\"()\[\]\\]+@[A-Za-z0-9.-]+")  # an e-mail address without a name
 
 
@@ -80,14 +77,12 @@ class Webhook:
         url = urlsplit(self.url)
         target = (url.path or "/") + (f"?{url.query}" if url.query else "")
         host = url.hostname or ""
-        client = http.client.HTTPConnection(host, url.port, timeout=CONNECT_S)
+        client = http.client.HTTPConnection(host, url.port, timeout=TIMEOUT_S)
         if url.scheme == "https":
             context = ssl.create_default_context()
-            client = http.client.HTTPSConnection(host, url.port, timeout=CONNECT_S, context=context)
+            client = http.client.HTTPSConnection(host, url.port, timeout=TIMEOUT_S, context=context)
         try:
-            with closing(client), _deadline(client, host):
-                client.connect()
-                client.sock.settimeout(DEADLINE_S)
+            with closing(client):
                 client.request("POST", quote(target, safe=punctuation), body, headers)
                 # the content of the answer is not read: it may be of any size, or never end
                 status = client.getresponse().status
@@ -147,15 +142,13 @@ class Email:
         """Send one mail to one address."""
         mail, is_accepted = self._mail(message), False
         context = ssl.create_default_context()
-        server = smtplib.SMTP(timeout=CONNECT_S)
+        server = smtplib.SMTP(timeout=TIMEOUT_S)
         if self.security == "tls":
-            server = smtplib.SMTP_SSL(timeout=CONNECT_S, context=context)
+            server = smtplib.SMTP_SSL(timeout=TIMEOUT_S, context=context)
         server._host = self.host  # type: ignore[attr-defined]  # that certificates must be of
         try:
-            with _deadline(server, self.host), closing(server):
+            with closing(server):
                 server.connect(self.host, self.port)
-                assert server.sock is not None
-                server.sock.settimeout(DEADLINE_S)
                 if self.security == "starttls":
                     server.starttls(context=context)
                 if self.user is not None:
@@ -165,11 +158,9 @@ class Email:
                 server.quit()
         except smtplib.SMTPRecipientsRefused:
             raise AddressError(f"{self.host}: the address is refused") from None
-        except (DeliveryError, OSError, ValueError) as error:
+        except (OSError, ValueError) as error:
             if is_accepted:  # only the end of the connection failed: not to be sent again
                 return
-            if isinstance(error, DeliveryError):
-                raise
             status = getattr(error, "smtp_code", None)
             reason = type(error).__name__ if status is None else f"SMTP status {status}"
             raise DeliveryError(f"{self.host}: {reason}") from None
@@ -184,33 +175,3 @@ class Email:
         mail["Auto-Submitted"] = "auto-generated"
         mail.set_content(content)
         return mail
-
-
-@contextmanager
-def _deadline(client: http.client.HTTPConnection | smtplib.SMTP, host: str) -> Iterator[None]:
-    """End a client's connection at the deadline of a message, and raise DeliveryError then.
-
-    A timeout of each answer would never end for a server that sends a byte now and then.
-    """
-    has_ended, is_late = threading.Event(), threading.Event()
-
-    def watch() -> None:
-        wait_s = DEADLINE_S
-        while not has_ended.wait(wait_s):  # ends: with the connection, which may be made just now
-            is_late.set()
-            wait_s = 0.1
-            if client.sock is not None:
-                with suppress(OSError):  # it is closed already
-                    client.sock.shutdown(socket.SHUT_RDWR)
-
-    thread = threading.Thread(target=watch)
-    thread.start()
-    try:
-        yield
-    except (http.client.HTTPException, OSError, ValueError):
-        if is_late.is_set():
-            raise DeliveryError(f"{host}: no answer within {DEADLINE_S:g} s") from None
-        raise
-    finally:
-        has_ended.set()
-        thread.join()

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import heapq
 import logging
-import math
 import re
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, tzinfo
+from datetime import UTC, tzinfo
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -36,9 +35,6 @@ from suspnet.trains.recordings.sources import open_source, zero_of
 from suspnet.trains.trips.grouping import find_groups
 
 log = logging.getLogger(__name__)
-PAUSE_S = 3600
-"""Time between the end of a trip and the start of the next one of the same suspension, if neither
-manifests nor files give dates, [s]."""
 LONGEST_WAIT_S = 60.0
 """Longest gap between frames that a paced replay waits for, in recorded time, [s]."""
 FILE_S, MAX_FILE_BYTES = 10.0, 2**23
@@ -54,16 +50,13 @@ class Replay:
     """The frames of all trips of a folder.
 
     `folder` is as for `find_groups`, `frame_s` [s] the length of a frame, and `zone` the time zone
-    of times without one: "UTC", "+02:00" or "Europe/Berlin". `start`, in ISO 8601, dates the first
-    trip of each suspension whose manifests and files give no date; its other trips follow after
-    ``PAUSE_S``. `n_suspensions` and `n_trips` count suspensions and started trips; `problems`
-    states why trips are missing or end early. Memory holds one block of each sensor of one trip of
-    each suspension.
+    of times without one: "UTC", "+02:00" or "Europe/Berlin". `n_suspensions` and `n_trips` count
+    suspensions and started trips; `problems` states why trips are missing or end early. Memory
+    holds one block of each sensor of one trip of each suspension.
     """
 
     folder: Path
     frame_s: float = setting(1.0, "Length of a frame", "s", low=0.01, high=60)
-    start: str | None = None
     zone: str = "UTC"
     times: float | None = setting(
         None,
@@ -78,9 +71,6 @@ class Replay:
     def __post_init__(self) -> None:
         check_settings(self)
         self._zone: tzinfo = time_zone(self.zone)
-        self._start_ns: int | None = None
-        if self.start is not None:
-            self._start_ns = _parsed(self.start, self._zone)
         by_name: dict[str, list[TripManifest]] = {}
         for group in find_groups(self.folder):
             trips = [trip for file in group.manifests if (trip := self._read(file))]
@@ -114,8 +104,7 @@ class Replay:
         last_ns: int | None = None
         for trip in _in_order(trips, self._zone):
             try:
-                dated_ns, offsets = trip_clock(trip, self._zone)
-                zero_ns = self._undated(trip, last_ns) if dated_ns is None else dated_ns
+                zero_ns, offsets = trip_clock(trip, self._zone)
                 self.n_trips += 1
                 before_ns = last_ns
                 for frame in trip_frames(trip, zero_ns, offsets, numbers, self.frame_s):
@@ -126,17 +115,6 @@ class Replay:
                     yield frame
             except TripError as error:
                 self._report(str(error))
-
-    def _undated(self, trip: TripManifest, last_ns: int | None) -> int:
-        """Return when a trip without a date starts; TripError if `start` is not given."""
-        if self._start_ns is None:
-            raise TripError(
-                f"{trip.path}: neither `start` nor the data files say when the trip was recorded; "
-                "write `start` into the manifest, or give start= to the replay"
-            )
-        if last_ns is None:
-            return self._start_ns
-        return math.ceil(last_ns / SECOND_NS + PAUSE_S) * SECOND_NS
 
     def _report(self, problem: str) -> None:
         self.problems.append(problem)
@@ -205,23 +183,12 @@ def _in_order(trips: Sequence[TripManifest], zone: tzinfo) -> list[TripManifest]
     return sorted(trips, key=lambda trip: nanoseconds(trip.start or EPOCH, zone))
 
 
-def _parsed(text: str, zone: tzinfo) -> int:
-    try:
-        return nanoseconds(datetime.fromisoformat(text), zone)
-    except (TypeError, ValueError):
-        raise ValueError(
-            f"`start` must be a date and time like 2026-03-01T06:00:00Z, got {text!r}"
-        ) from None
-
-
-def trip_clock(
-    manifest: TripManifest, zone: tzinfo = UTC
-) -> tuple[int | None, Mapping[str, float]]:
+def trip_clock(manifest: TripManifest, zone: tzinfo = UTC) -> tuple[int, Mapping[str, float]]:
     """Return the zero of a trip's clock, and the offset of each sensor's and the speed's times [s].
 
-    The zero is in ns since 1970 in UTC, None if neither manifest nor files give it; offsets are
-    added to a sensor's own times. TripError is raised if a file cannot be read, or clocks cannot be
-    aligned.
+    The zero is in ns since 1970 in UTC; offsets are added to a sensor's own times. TripError is
+    raised if a file cannot be read, clocks cannot be aligned, or neither manifest nor files say
+    when the trip was.
     """
     zeros = {name: zero_of(manifest, name) for name in manifest.sources()}
     offsets = offsets_s(manifest, zeros)
@@ -229,7 +196,12 @@ def trip_clock(
     for name, ns in dated.items():
         zero_ns = ns - round(offsets[name] * SECOND_NS)
         return zero_ns - (0 if zeros[name].is_zoned else ahead_ns(zero_ns, zone)), offsets
-    return None if manifest.start is None else nanoseconds(manifest.start, zone), offsets
+    if manifest.start is None:
+        raise TripError(
+            f"{manifest.path}: neither `start` nor the data files say when the trip was recorded; "
+            "write `start` into the manifest"
+        )
+    return nanoseconds(manifest.start, zone), offsets
 
 
 def trip_frames(
