@@ -33,7 +33,7 @@ from suspnet.ground.wording import command
 from suspnet.runs.dataset import write_dataset
 from suspnet.runs.fit import check_hyperparameters
 from suspnet.runs.language import check_language, speaking
-from suspnet.runs.train import RunContext, train
+from suspnet.runs.train import train
 
 with optional("trips"):  # `suspensions` says what is missing
     from suspnet.trains.identification.healthy_trips import read_healthy
@@ -192,8 +192,5 @@ def _train(config: DictConfig, folder: Path) -> None:
         search=search,
         refine=config.refine,
         figures=config.figures,
-        context=RunContext(
-            config=resolved,
-            swept=folders.swept(),
-        ),
+        config=resolved,
     )

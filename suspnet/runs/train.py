@@ -8,8 +8,8 @@ import platform
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -32,18 +32,6 @@ log = logging.getLogger(__name__)
 PACKAGES = ("suspnet", "torch", "numpy", "scipy", "scikit-learn", "hydra-core", "tensorboard")
 
 
-@dataclass(frozen=True)
-class RunContext:
-    """What the calling program adds to the records and figures of a run.
-
-    `config` is the resolved configuration; its `reading_name` and `search_name` go into
-    metrics.json. `swept` are the keys that a multirun varies.
-    """
-
-    config: Mapping[str, Any] = field(default_factory=dict)
-    swept: Sequence[str] = ()
-
-
 def train(
     problem: Problem,
     estimator: Any,
@@ -52,7 +40,7 @@ def train(
     search: GridSearch | None = None,
     refine: bool = False,
     figures: bool = True,
-    context: RunContext | None = None,
+    config: Mapping[str, Any] | None = None,
 ) -> Metrics:
     """Train one method on one problem, test it, and fill a run folder.
 
@@ -71,6 +59,8 @@ def train(
         Tunes the method first.
     refine : bool
         Refine the estimates by Gauss-Newton steps on the curves.
+    config : mapping, optional
+        Resolved configuration of the program that calls, for the records of the run.
 
     Returns
     -------
@@ -85,20 +75,20 @@ def train(
     FileExistsError
         If the folder holds files that are not suspnet's.
     """
-    context = context or RunContext()
+    config = config or {}
     check_hyperparameters(estimator)
     if folder is None:
         if search is not None:
             raise ValueError("`search` needs a `folder`: its table is written there")
         model = calibrated(problem, replace(fit(problem, estimator, None), refined=refine))
-        return _metrics(problem, model, predict_stream(problem, model, TEST), None, context)
+        return _metrics(problem, model, predict_stream(problem, model, TEST), None, config)
     folder = Path(folder)
     method_name(estimator)
     check_saveable(estimator, problem)
-    if not context.config:  # programs look at their folder before
+    if not config:  # programs look at their folder before
         ledger.begin(folder)
     with RunLog(folder, is_new=True) as run_log:
-        run_log.config(context.config)
+        run_log.config(config)
         search_result, search_notes = None, {}
         tried = [] if search is None else search.settings_of(method_name(estimator))
         if len(tried) == 1:  # nothing to compare
@@ -116,12 +106,12 @@ def train(
         model = calibrated(problem, model)
         stage("test")
         outcome = predict_stream(problem, model, TEST)
-        metrics = _metrics(problem, model, outcome, search_result, context)
+        metrics = _metrics(problem, model, outcome, search_result, config)
         # the accuracy goes into the model's file for those who have no run folder
         accuracy = {"test_rms_percent": metrics["rms_percent"]}
         stage("figures and tables of the run")
         write_model(folder, replace(model, training=model.training | accuracy))
-        log_scores(run_log, metrics, model.training["parameters"], context.swept)
+        log_scores(run_log, metrics)
         if figures:
             log_error_by_n(problem, model, outcome, run_log)
             draw_run(problem, model, outcome, run_log, folder / "figures")
@@ -146,7 +136,7 @@ def _metrics(
     model: TrainedModel,
     outcome: Outcome,
     search: SearchResult | None,
-    context: RunContext,
+    config: Mapping[str, Any],
 ) -> Metrics:
     """Return the content of metrics.json."""
     metrics: Metrics = {
@@ -158,8 +148,8 @@ def _metrics(
     if search is not None:
         metrics["search"] = asdict(search) | {"best": search.best}
     for key, name in (("reading", "reading_name"), ("search_name", "search_name")):
-        if context.config.get(name):
-            metrics[key] = context.config[name]
+        if config.get(name):
+            metrics[key] = config[name]
     metrics["rms_percent"] = rms_percent(problem.task, outcome)
     return metrics
 
