@@ -52,6 +52,15 @@ def test_trips_are_read_back_as_they_were_written(store):
     assert store.places() == [(VEHICLE, PLACE)]
 
 
+def test_last_trips_before_one_have_an_estimate(store):
+    results = fleet(8, missing=(4,), with_curves=False)
+    store.write([*results[::-1], replace(results[2], place=Place("other"))])
+    found = store.last_before(results[6], 3)
+    assert [one.trip for one in found] == [results[i].trip for i in (2, 3, 5)]
+    assert store.last_before(results[0], 3) == []
+    assert store.last_before(replace(results[6], mileage_km=math.inf), 1)[0].trip == "trip_007"
+
+
 words = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=20)
 
 

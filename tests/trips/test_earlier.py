@@ -14,6 +14,7 @@ from trip_records import trip
 from suspnet.estimation.bogie_model import BogieModel
 from suspnet.estimation.estimate import HealthyValues
 from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import COMPONENTS, DEFAULT_LIMITS, Cause
 from suspnet.ground.records import ERROR, SensorHealth, sensors_text
 from suspnet.trains.history import History
@@ -77,6 +78,22 @@ def test_a_folder_is_read_with_the_trips_of_earlier_ones(
     metrics = json.loads((tmp_path / "three" / "metrics.json").read_text())
     assert metrics["trends"][0]["n_trips"] == 1
     assert metrics["maintenance"][0]["words"] == "new springs"
+
+
+def test_what_several_trips_name_is_stored_with_the_curves_of_all(
+    folders, model, store, no_figures, recalled, tmp_path, monkeypatch
+):
+    read(folders[0], model, tmp_path / "one", store)
+    worn = Finding("worn", odds="9 : 1")
+    monkeypatch.setattr(
+        fleet_module, "with_joint_verdicts", lambda all_, *_: [replace(r, worn=worn) for r in all_]
+    )
+    both = read(folders[1], model, tmp_path / "two", store)
+    stored = store.read("am96", both[0].place)
+    # a trip of an earlier folder has no curves here, and keeps what is stored
+    assert [one.worn for one in stored] == [""] * 3 + [worn] * 3
+    kept = store.responses("am96", both[0].place)
+    assert [one.trip for one in kept] == ["trip_0", *["trip_0", "trip_1", "trip_2"]]
 
 
 def test_a_trip_whose_date_is_known_once_is_listed_once(model, store):
