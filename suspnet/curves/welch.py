@@ -3,6 +3,7 @@
 import math
 from bisect import bisect_left
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
@@ -42,37 +43,46 @@ class Welch:
         length = round(self.segment_s * rate_hz)
         return length, max(1, length - round(self.overlap * length))
 
-    def n_averages(self, n_segments: float) -> float:
+    def n_averages(self, n_segments: float, n_bins: int = 1) -> float:
         """Return the number of independent segments that average as well as overlapping ones.
 
-        n / (1 + 2 sum_j (1 - j/n) rho_j), rho_j = (sum w(t) w(t + j step) / sum w^2)^2: Welch 1967.
+        The spectra may also be averaged over `n_bins` neighbouring bins. Of n segments and m bins
+        it is n m / sum_jk (1 - abs(j)/n) (1 - abs(k)/m) rho_jk, with rho_jk = abs(sum_t w(t)
+        w(t + j step) exp(-2 pi i k t / T) / sum w^2)^2, abs(j) < n and abs(k) < m: Welch 1967.
         """
         length, step = self.sizes(256 / self.segment_s)
         window = get_window(self.window, length)
-        total = 1.0
-        for j in range(1, min(math.ceil(length / step), math.ceil(n_segments))):
-            shared = float(window[j * step :] @ window[: length - j * step])
-            total += 2 * (1 - j / n_segments) * (shared / float(window @ window)) ** 2
-        return n_segments / total
+        apart = np.arange(1 - n_bins, n_bins)
+        turns = np.exp(-2j * np.pi * np.outer(apart, np.arange(length)) / length)
+        total = 0.0
+        for j in range(min(math.ceil(length / step), math.ceil(n_segments))):
+            both = window[j * step :] * window[: length - j * step] / float(window @ window)
+            shared = np.abs(turns[:, : len(both)] @ both) ** 2 @ (1 - np.abs(apart) / n_bins)
+            total += (2 if j else 1) * (1 - j / n_segments) * float(shared)
+        return n_segments * n_bins / total
 
-    def n_segments(self, n_averages: float) -> int:
+    def n_segments(self, n_averages: float, n_bins: int = 1) -> int:
         """Return the least number of segments that average as well as so many independent ones."""
-        most = math.ceil(n_averages * 1e9 / self.n_averages(1e9))  # the larger, the less each adds
-        return 1 + bisect_left(range(1, most + 1), n_averages, key=self.n_averages)
+        # the larger their number, the less each adds
+        most = math.ceil(n_averages * 1e9 / self.n_averages(1e9, n_bins))
+        averages = partial(self.n_averages, n_bins=n_bins)
+        return 1 + bisect_left(range(1, most + 1), n_averages, key=averages)
 
     def minutes(self, n_segments: int) -> float:
         """Return how long overlapping segments are together, [min]."""
         shared = self.overlap * max(0, n_segments - 1)
         return (n_segments - shared) * self.segment_s / 60
 
-    def smear(self) -> Tensor:
+    def smear(self, n_bins: int = 1) -> Tensor:
         """Return the weights of the leakage between neighbouring bins, symmetric, with sum 1.
 
         The expected spectrum is the true one convolved with abs(W(f))^2. Sampling it at the bins is
         exact for an impulse response that is short compared with the segment. Hann: 1/6, 2/3, 1/6.
+        The weights of the average of `n_bins` bins, an odd number, are the mean of theirs.
         """
         transform = np.fft.fft(get_window(self.window, 256)) / 256
-        return _symmetric(np.abs(transform) ** 2)
+        taps = _symmetric(np.abs(transform) ** 2)
+        return torch.as_tensor(np.convolve(taps, np.full(n_bins, 1 / n_bins)))
 
     @property
     def correlated_bins(self) -> float:

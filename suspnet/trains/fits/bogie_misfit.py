@@ -294,7 +294,7 @@ class BogieMisfit:
         trip = self.trips[i]
         if trip.welch is None:
             return None
-        weights = trip.welch.smear()
+        weights = trip.welch.smear(trip.n_bins)
         taps = torch.arange(len(weights)) - len(weights) // 2
         bins_hz = self.frequencies_hz[trip.of(self.all_bins)]
         away, weights = taps[taps != 0], weights[taps != 0]

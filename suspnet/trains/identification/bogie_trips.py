@@ -60,6 +60,7 @@ UNLIKE_HEALTHY = 3.0
 something else than springs and dampers has changed."""
 LOW_HZ, HIGH_HZ = 0.5, 18.0
 """Ends of the band: below, accelerometers drift; above, frame and body have modes of their own."""
+BAND_BINS = 5
 SPACING_HZ, EQUAL_SPACING_HZ = 0.1, 0.05
 """Distance of the bins, far enough for them to be independent. Few sensors need every independent
 bin of a trip: two bins of its segments, whose Hann windows share 3 % of their power."""
@@ -174,7 +175,8 @@ def _trip_of_all(
         raise NoEstimateError(_too_short(n_chosen, n_sensors, segment_s, least))
     spacing_hz = SPACING_HZ if generator.shows_parts else EQUAL_SPACING_HZ
     bins = _bins(segments.frequencies_hz, round(spacing_hz * segment_s))
-    matrix = SpectralMatrix.of(segments, chosen).at(bins).of_sensors(order)
+    n_bins = BAND_BINS if generator.shows_parts else 1
+    matrix = SpectralMatrix.of(segments, chosen, n_bins).at(bins).of_sensors(order)
     frequencies_hz, lines = segments.frequencies_hz[bins], wheel_lines(recording)
     return BogieTrip(
         frequencies_hz,
@@ -184,6 +186,7 @@ def _trip_of_all(
         lost,
         line_bins(lines, speeds[chosen], frequencies_hz, segment_s) if lines else None,
         segments.welch,
+        n_bins,
     )
 
 

@@ -30,6 +30,7 @@ class BogieTrip(ShortRepr):
     lost: tuple[str, ...] = ()
     left_out: Tensor | None = None
     welch: Welch | None = None
+    n_bins: int = 1
 
     def of(self, bins: Tensor) -> Tensor:
         """Return the numbers of those bins that are not left out."""

@@ -26,6 +26,7 @@ from typing import Self
 
 import torch
 from torch import Tensor
+from torch.nn.functional import avg_pool1d
 
 from suspnet.curves.welch import SegmentSpectra
 
@@ -38,17 +39,23 @@ class SpectralMatrix:
     n_averages: float
 
     @classmethod
-    def of(cls, segments: SegmentSpectra, chosen: Tensor) -> Self:
+    def of(cls, segments: SegmentSpectra, chosen: Tensor, n_bins: int = 1) -> Self:
         """Return the average over chosen segments of sensors, a bool tensor (n_segments,).
 
+        Each bin is also averaged with its neighbours, `n_bins` in all; at the ends they are fewer.
         ValueError if none is chosen.
         """
         n_segments = int(chosen.sum())
         if n_segments == 0:
             raise ValueError("no segment is chosen: there is nothing to average")
         values = segments.values[chosen].permute(2, 1, 0)
-        n_averages = segments.welch.n_averages(n_segments)
-        return cls(values @ values.mH / n_segments, n_averages)
+        n_averages = segments.welch.n_averages(n_segments, n_bins)
+        matrices = values @ values.mH / n_segments
+        if n_bins > 1:
+            parts = torch.view_as_real(matrices).flatten(1).T[None]
+            parts = avg_pool1d(parts, n_bins, 1, n_bins // 2, count_include_pad=False)[0].T
+            matrices = torch.view_as_complex(parts.reshape(*matrices.shape, 2).contiguous())
+        return cls(matrices, n_averages)
 
     def at(self, bins: Tensor) -> SpectralMatrix:
         """Return the matrices of chosen bins, a bool tensor (n_freq,) or their numbers."""
