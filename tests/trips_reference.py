@@ -93,15 +93,18 @@ def smeared(density, taps):
     return np.array([sum(w * density[k + j] for j, w in enumerate(taps)) for k in range(n_inner)])
 
 
-def n_averages(window, step, n_segments):
-    """Return Welch's number of independent averages, n / (1 + 2 sum_j (1 - j/n) rho_j)."""
-    length, total = len(window), 1.0
-    for j in range(1, n_segments):
-        shared = sum(
-            window[t] * window[t + j * step] for t in range(length) if t + j * step < length
-        )
-        total += 2 * (1 - j / n_segments) * (shared / sum(w * w for w in window)) ** 2
-    return n_segments / total
+def n_averages(window, step, n_segments, n_bins=1):
+    """Return Welch's number of independent averages, segments and neighbouring bins one by one."""
+    length, total = len(window), 0.0
+    for j in range(1 - n_segments, n_segments):
+        for k in range(1 - n_bins, n_bins):
+            shared = sum(
+                window[t] * window[t + abs(j) * step] * cmath.exp(-2j * math.pi * k * t / length)
+                for t in range(length - abs(j) * step)
+            )
+            rho = abs(shared / sum(w * w for w in window)) ** 2
+            total += (1 - abs(j) / n_segments) * (1 - abs(k) / n_bins) * rho
+    return n_segments * n_bins / total
 
 
 def relative_rows(responses, healthy):

@@ -52,13 +52,14 @@ class Welch:
         """
         length, step = self.sizes(256 / self.segment_s)
         window = get_window(self.window, length)
-        apart = np.arange(1 - n_bins, n_bins)
-        turns = np.exp(-2j * np.pi * np.outer(apart, np.arange(length)) / length)
+        away = np.arange(1, n_bins)
+        turns = np.exp(-2j * np.pi * np.outer(away, np.arange(length)) / length)
         total = 0.0
         for j in range(min(math.ceil(length / step), math.ceil(n_segments))):
-            both = window[j * step :] * window[: length - j * step] / float(window @ window)
-            shared = np.abs(turns[:, : len(both)] @ both) ** 2 @ (1 - np.abs(apart) / n_bins)
-            total += (2 if j else 1) * (1 - j / n_segments) * float(shared)
+            one, other = window[j * step :], window[: length - j * step]
+            beside = np.abs(turns[:, : len(one)] @ (one * other)) ** 2 @ (1 - away / n_bins)
+            shared = float(one @ other) ** 2 + 2 * float(beside)
+            total += (2 if j else 1) * (1 - j / n_segments) * shared / float(window @ window) ** 2
         return n_segments * n_bins / total
 
     def n_segments(self, n_averages: float, n_bins: int = 1) -> int:

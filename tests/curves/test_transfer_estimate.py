@@ -149,22 +149,24 @@ def test_power_densities_equal_scipys_at_every_bin(length):
 
 @pytest.mark.parametrize("window", ["hann", "hamming", "boxcar"])
 @pytest.mark.parametrize(("overlap", "n"), [(0.0, 9), (0.5, 2), (0.5, 9), (0.75, 9)])
-def test_number_of_averages_is_welchs_sum(window, overlap, n):
+@pytest.mark.parametrize("n_bins", [1, 5])
+def test_number_of_averages_is_welchs_sum(window, overlap, n, n_bins):
     welch = Welch(segment_s=20.0, overlap=overlap, window=window)
     step = round(256 * (1 - overlap))
-    expected = trips_reference.n_averages(signal.get_window(window, 256), step, n)
-    assert welch.n_averages(n) == pytest.approx(expected, rel=1e-10)
+    expected = trips_reference.n_averages(signal.get_window(window, 256), step, n, n_bins)
+    assert welch.n_averages(n, n_bins) == pytest.approx(expected, rel=1e-10)
     assert welch.n_averages(n) <= n
     assert (welch.n_averages(n) == n) == (overlap == 0)
 
 
 @pytest.mark.parametrize("n_averages", [1, 3.2, 10, math.nextafter(7, 8), 1e6])
 @pytest.mark.parametrize("overlap", [0.0, 0.5, 0.75])
-def test_least_number_of_segments_holds_the_averages(overlap, n_averages):
+@pytest.mark.parametrize("n_bins", [1, 5])
+def test_least_number_of_segments_holds_the_averages(overlap, n_averages, n_bins):
     welch = Welch(segment_s=20.0, overlap=overlap)
-    n = welch.n_segments(n_averages)
-    assert welch.n_averages(n) >= n_averages
-    assert n == 1 or welch.n_averages(n - 1) < n_averages
+    n = welch.n_segments(n_averages, n_bins)
+    assert welch.n_averages(n, n_bins) >= n_averages
+    assert n == 1 or welch.n_averages(n - 1, n_bins) < n_averages
 
 
 @pytest.mark.parametrize(
@@ -182,6 +184,16 @@ def test_averages_of_white_noise_scatter_as_their_number_says(window, overlap):
     relative = power.var(dim=0) / power.mean(dim=0).square()
     # nine bins of 4000 records; correlated, they fix the variance to about 2 %
     assert 1 / float(relative.mean()) == pytest.approx(welch.n_averages(n), rel=0.1)
+    bands = power.unfold(1, 5, 1).mean(dim=2)
+    relative = bands.var(dim=0) / bands.mean(dim=0).square()
+    assert 1 / float(relative.mean()) == pytest.approx(welch.n_averages(n, 5), rel=0.1)
+
+
+def test_smear_of_bands_is_the_mean_of_that_of_their_bins():
+    one, band = WELCH.smear().tolist(), WELCH.smear(3).tolist()
+    shifted = [[0.0] * i + one + [0.0] * (2 - i) for i in range(3)]
+    assert band == pytest.approx([sum(taps) / 3 for taps in zip(*shifted, strict=True)])
+    assert sum(band) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(("window", "overlap"), [("hann", 0.5), ("blackman", 0.0)])

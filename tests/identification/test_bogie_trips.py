@@ -85,7 +85,7 @@ def test_bins_averages_and_speed_are_those_of_the_recording(short):
     spacing = trip.frequencies_hz.diff()
     torch.testing.assert_close(spacing, torch.full_like(spacing, SPACING_HZ))
     assert trip.spectra.values.shape == (len(trip.frequencies_hz), 6, 6)
-    assert trip.spectra.n_averages == pytest.approx(10, abs=1.5)
+    assert trip.spectra.n_averages == pytest.approx(27, abs=3)  # of 12 minutes in bands of .04 Hz
     assert trip.speed_m_per_s == pytest.approx(70.0, abs=0.5)
 
 
@@ -252,10 +252,10 @@ def test_a_sensor_that_breaks_the_trip_up_is_left_out(short, name):
 
 
 def test_a_short_or_slow_trip_has_no_estimate(tmp_path, short):
-    # shorter than one segment of 40 s, and than the eleven that give more than ten averages
-    for minutes, words in ((1.2, "at least 4.0 are needed"), (3.0, "4.0 are needed, 1.")):
+    # shorter than two segments of 60 s, and than the five that give more than twelve averages
+    for minutes, words in ((1.2, "at least 3.0 are needed"), (2.6, "3.0 are needed, 0.")):
         (one,) = recordings(tmp_path / f"{minutes}", np.ones((1, 13)), minutes, ("roll",))
-        with pytest.raises(NoEstimateError, match=f"of 40 s or more .*{words}"):
+        with pytest.raises(NoEstimateError, match=f"of 60 s or more .*{words}"):
             bogie_trip(one, VEHICLE)
     with pytest.raises(NoEstimateError, match=r"0\.0 minutes"):
         bogie_trip(short, VEHICLE, TripSettings(min_speed_m_per_s=90.0))

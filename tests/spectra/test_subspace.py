@@ -128,6 +128,17 @@ def test_matrices_of_segments_hold_what_sensors_have_in_common():
     assert matrix.at(inside).values.shape == (int(inside.sum()), 2, 2)
 
 
+def test_bands_are_means_of_neighbouring_bins():
+    signals = torch.as_tensor(np.random.default_rng(9).standard_normal((2, 2000)))
+    segments = segment_spectra(signals, 100.0, Welch(segment_s=2.0))
+    chosen = torch.ones(len(segments.values), dtype=torch.bool)
+    bins, bands = (SpectralMatrix.of(segments, chosen, n_bins) for n_bins in (1, 5))
+    for i in (0, 1, 7, len(bins.values) - 1):
+        expected = bins.values[max(0, i - 2) : i + 3].mean(dim=0)
+        torch.testing.assert_close(bands.values[i], expected)
+    assert bands.n_averages == segments.welch.n_averages(len(chosen), 5)
+
+
 # error
 
 

@@ -50,20 +50,22 @@ EQUAL_PARTS = tuple(part for part in PARTS_OF_BOGIE if part not in ADDITIONS)
 body, and all parts of a kind wear alike."""
 SHARED = ("bogie", "axle", "frame_sensor", "body_sensor_m", "nominal")
 """Settings that it shares with the vehicle of both sides as equal."""
-SEGMENTS_S, EQUAL_SEGMENTS_S = (120.0, 60.0, 40.0), (40.0,)
-"""Lengths of segments, and those where all parts of a kind are equal. The first that gives enough
-averages is taken: the shorter a segment, the more of a bin is leaked by its neighbours."""
-MIN_AVERAGES = 10
-"""Averages that shorter segments than the first must exceed."""
+SEGMENTS_S = (120.0, 60.0)
+"""Lengths of segments, of which the first that gives enough averages is taken: the shorter a
+segment, the more of a bin is leaked by its neighbours."""
+N_BINS = 5
+"""Bins of a segment that are averaged: 1 uses a tenth of what a trip tells, and c_p of twelve trips
+is 1.6 times as far off, healthy parts 1.2 to 2.4 times (benchmarks/rough_train.py, family)."""
+AVERAGES_OF_SENSOR = 2
+"""Averages for each sensor that are enough, as noise is told from them."""
 UNLIKE_HEALTHY = 3.0
 """Misfit of a trip, over noise and errors that the healthy trips show, from which it is flagged:
 something else than springs and dampers has changed."""
 LOW_HZ, HIGH_HZ = 0.5, 18.0
 """Ends of the band: below, accelerometers drift; above, frame and body have modes of their own."""
-BAND_BINS = 5
 SPACING_HZ, EQUAL_SPACING_HZ = 0.1, 0.05
-"""Distance of the bins, far enough for them to be independent. Few sensors need every independent
-bin of a trip: two bins of its segments, whose Hann windows share 3 % of their power."""
+"""Distance of the bins that are read, far enough for them to be independent. Few sensors need all
+that a trip tells: 6 bins of its longest segments, of which 5 are averaged."""
 
 
 def bogie_vehicle(
@@ -120,18 +122,15 @@ def bogie_trip(
     ------
     NoEstimateError
         If places of the generator have no sensor and the others do not show the parts, or no
-        stretch at one speed is long enough for more averages than sensors, also without the sensor
-        whose faults break it up the most.
+        stretch at one speed is long enough for twice as many averages as sensors, also without the
+        sensor whose faults break it up the most.
     """
     settings = settings or TripSettings()
     candidates, reasons = _candidates(recording), []
-    lengths_s = SEGMENTS_S if generator.shows_parts else EQUAL_SEGMENTS_S
-    for segment_s in lengths_s:
-        # shorter segments leak more, so that fewer averages are no gain
-        least = 0 if segment_s == lengths_s[0] else MIN_AVERAGES
+    for segment_s in SEGMENTS_S:
         for candidate in candidates:
             try:
-                return _trip_of_all(candidate, generator, settings, direction, segment_s, least)
+                return _trip_of_all(candidate, generator, settings, direction, segment_s)
             except NoEstimateError as reason:
                 reasons.append(reason)
     raise reasons[-len(candidates)]  # of all sensors, with the shortest segments
@@ -151,18 +150,16 @@ def _trip_of_all(
     settings: TripSettings,
     direction: Direction | None,
     segment_s: float,
-    least: int,
 ) -> BogieTrip:
-    """Return the spectral matrix of all sensors of a recording, as of `bogie_trip`.
-
-    It must have more averages than `least`, and than its sensors and one.
-    """
+    """Return the spectral matrix of all sensors of a recording, as of `bogie_trip`."""
     assert generator.sensors is not None
     lost = _lost_sensors(recording, generator)
     n_sensors = len(generator.sensors) - len(lost)
-    least = max(least, n_sensors + 1)
+    # the most bins, in a band about each one that is read, that do not reach into the next band
+    every = round((SPACING_HZ if generator.shows_parts else EQUAL_SPACING_HZ) * segment_s)
+    n_bins = min(N_BINS, every - (every + 1) % 2)
     if recording.duration_s < segment_s:
-        raise NoEstimateError(_too_short(0, n_sensors, segment_s, least))
+        raise NoEstimateError(_too_short(0, n_sensors, segment_s, n_bins))
     names, segments = sensor_segments(recording, Welch(segment_s))
     place_of = _places(recording.manifest, generator.frame_sensor)
     places = [place_of.get(name) for name in names]
@@ -171,11 +168,10 @@ def _trip_of_all(
     groups = groups_to_read(speeds, settings.speed_tolerance, settings.min_speed_m_per_s)
     chosen = without_loud(segments, groups[0]) if groups else torch.zeros(0, dtype=torch.bool)
     n_chosen = int(chosen.sum())
-    if not n_chosen or segments.welch.n_averages(n_chosen) <= least:
-        raise NoEstimateError(_too_short(n_chosen, n_sensors, segment_s, least))
-    spacing_hz = SPACING_HZ if generator.shows_parts else EQUAL_SPACING_HZ
-    bins = _bins(segments.frequencies_hz, round(spacing_hz * segment_s))
-    n_bins = BAND_BINS if generator.shows_parts else 1
+    least = AVERAGES_OF_SENSOR * n_sensors
+    if not n_chosen or segments.welch.n_averages(n_chosen, n_bins) <= least:
+        raise NoEstimateError(_too_short(n_chosen, n_sensors, segment_s, n_bins))
+    bins = _bins(segments.frequencies_hz, every)
     matrix = SpectralMatrix.of(segments, chosen, n_bins).at(bins).of_sensors(order)
     frequencies_hz, lines = segments.frequencies_hz[bins], wheel_lines(recording)
     return BogieTrip(
@@ -184,7 +180,7 @@ def _trip_of_all(
         float(speeds[chosen].mean()),
         direction or recording.manifest.direction or FORWARD,
         lost,
-        line_bins(lines, speeds[chosen], frequencies_hz, segment_s) if lines else None,
+        line_bins(lines, speeds[chosen], frequencies_hz, segment_s, n_bins) if lines else None,
         segments.welch,
         n_bins,
     )
@@ -213,12 +209,13 @@ def _lost_sensors(recording: Recording, generator: SpatialVehicle) -> tuple[str,
     return lost
 
 
-def _too_short(n_segments: int, n_sensors: int, segment_s: float, least: int) -> str:
+def _too_short(n_segments: int, n_sensors: int, segment_s: float, n_bins: int) -> str:
+    least = math.nextafter(AVERAGES_OF_SENSOR * n_sensors, math.inf)
     return Finding(
         "too-short-for-parts",
         n_sensors=n_sensors,
         seconds_each=segment_s,
-        minutes=minutes_words(Welch(segment_s), n_segments, math.nextafter(least, math.inf)),
+        minutes=minutes_words(Welch(segment_s), n_segments, least, n_bins),
     )
 
 

@@ -20,7 +20,8 @@ class BogieTrip(ShortRepr):
 
     `frequencies_hz` (n_freq,) are bins that are independent of each other, `left_out` (n_freq,)
     says which of them hold other signals, None: none; `lost` are those of the vehicle's sensors
-    that the trip has not. `welch` are the segments that leak into neighbouring bins, None: none do.
+    that the trip has not. `welch` are the segments that leak into neighbouring bins, None: none do;
+    each of `frequencies_hz` is in the middle of `n_bins` of their bins, whose spectra are averaged.
     """
 
     frequencies_hz: Tensor

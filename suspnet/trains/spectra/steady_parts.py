@@ -133,12 +133,12 @@ def no_group_words(
     )
 
 
-def minutes_words(welch: Welch, n_segments: int, least_averages: float) -> str:
+def minutes_words(welch: Welch, n_segments: int, least_averages: float, n_bins: int = 1) -> str:
     """Return how long segments are together, and how much longer they must be: in minutes.
 
-    Averages of segments of different lengths cannot be compared.
+    `n_bins` bins are averaged. Averages of segments of different lengths cannot be compared.
     """
-    lengths = welch.minutes(n_segments), welch.minutes(welch.n_segments(least_averages))
+    lengths = welch.minutes(n_segments), welch.minutes(welch.n_segments(least_averages, n_bins))
     # rounded first, so that `more` is the difference of the numbers shown
     available, needed = (round(minutes, 1) for minutes in lengths)
     return Finding("minutes", n_there=available, needed=needed, more=needed - available)

@@ -42,7 +42,7 @@ class SpectralMatrix:
     def of(cls, segments: SegmentSpectra, chosen: Tensor, n_bins: int = 1) -> Self:
         """Return the average over chosen segments of sensors, a bool tensor (n_segments,).
 
-        Each bin is also averaged with its neighbours, `n_bins` in all; at the ends they are fewer.
+        It is also that over `n_bins` neighbouring bins, an odd number; at the ends they are fewer.
         ValueError if none is chosen.
         """
         n_segments = int(chosen.sum())
@@ -51,11 +51,10 @@ class SpectralMatrix:
         values = segments.values[chosen].permute(2, 1, 0)
         n_averages = segments.welch.n_averages(n_segments, n_bins)
         matrices = values @ values.mH / n_segments
-        if n_bins > 1:
-            parts = torch.view_as_real(matrices).flatten(1).T[None]
-            parts = avg_pool1d(parts, n_bins, 1, n_bins // 2, count_include_pad=False)[0].T
-            matrices = torch.view_as_complex(parts.reshape(*matrices.shape, 2).contiguous())
-        return cls(matrices, n_averages)
+        rows = torch.view_as_real(matrices).flatten(1).T
+        smooth = avg_pool1d(rows[None], n_bins, 1, n_bins // 2, count_include_pad=False)[0]
+        parts = smooth.T.reshape(*matrices.shape, 2).contiguous()
+        return cls(torch.view_as_complex(parts), n_averages)
 
     def at(self, bins: Tensor) -> SpectralMatrix:
         """Return the matrices of chosen bins, a bool tensor (n_freq,) or their numbers."""

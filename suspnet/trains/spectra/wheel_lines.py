@@ -164,17 +164,22 @@ def wheel_words(recording: Recording, lines: Sequence[WheelLine]) -> str:
 
 
 def line_bins(
-    lines: Sequence[WheelLine], speeds: Tensor, frequencies_hz: Tensor, segment_s: float
+    lines: Sequence[WheelLine],
+    speeds: Tensor,
+    frequencies_hz: Tensor,
+    segment_s: float,
+    n_bins: int = 1,
 ) -> Tensor:
     """Return which bins (n_freq,) hold lines, or their leakage, in segments of these speeds.
 
-    `speeds`: (n_segments, n_samples), [m/s]. The power of a Hann window falls as 1 / (pi d^3)^2
-    with the distance of d bins.
+    `speeds`: (n_segments, n_samples), [m/s]; each bin is the mean of `n_bins` of a segment's. The
+    power of a Hann window falls as 1 / (pi d^3)^2 with the distance of d bins.
     """
     is_line = torch.zeros(len(frequencies_hz), dtype=torch.bool)
     for line in lines:
         height = line.height * float(speeds.mean()) * segment_s
-        reach_hz = max(2.0, (height / (LEAK * math.pi**2)) ** (1 / 6)) / segment_s
+        reach_bins = max(2.0, (height / (LEAK * math.pi**2)) ** (1 / 6)) + n_bins // 2
+        reach_hz = reach_bins / segment_s
         low, high = line.per_m * float(speeds.min()), line.per_m * float(speeds.max())
         is_line |= (frequencies_hz >= low - reach_hz) & (frequencies_hz <= high + reach_hz)
     return is_line
