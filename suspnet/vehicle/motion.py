@@ -100,12 +100,13 @@ class SampledMotion:
         phi_1 = (exp(z) - 1) / z,  phi_2 = (exp(z) - 1 - z) / z^2,  z = lambda h.
 
     This recursion for each mode neither drifts nor loses digits at any sampling rate 1 / h
-    (Hochbruck and Ostermann, Exponential integrators, 2010, section 2). Raises ValueError if two
+    (Hochbruck and Ostermann, Exponential integrators, 2010, section 2). `direct` (n_outputs,
+    n_inputs) is what outputs hold of the inputs at once. Raises ValueError if two
     modes coincide (critical damping), so that the eigenvectors are not independent.
     """
 
     def __init__(self, system: LinearSystem, rate_hz: float) -> None:
-        a, b, c, self._direct = system.state_space()
+        a, b, c, self.direct = system.state_space()
         eigenvalues, vectors = np.linalg.eig(a)
         condition = np.linalg.cond(vectors / np.linalg.norm(vectors, axis=0))
         if condition > LARGEST_CONDITION:
@@ -162,8 +163,8 @@ class SampledMotion:
                 modes[j], imaginary[:] = mode.real, mode.imag
         self._last = block[:, -1:].copy()
         outputs = self._outputs @ modes
-        if self._direct.any():
-            outputs += self._direct @ block
+        if self.direct.any():
+            outputs += self.direct @ block
         return np.asarray(outputs)
 
     def _filter(self, j: int, decay: complex, forcing: Any) -> Any:
