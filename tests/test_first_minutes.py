@@ -14,7 +14,7 @@ from suspnet.cli.config_files import CONFIGS
 
 PAGE = ROOT / "docs" / "getting_started.md"
 N_TRIPS = 2
-SMALL = [f"fleet.n_trips={N_TRIPS}", "fleet.minutes=2.6", "workers=1", "progress=false"]
+SMALL = [f"fleet.n_trips={N_TRIPS}", "fleet.minutes=3.2", "workers=1", "progress=false"]
 
 
 def test_three_csv_files_become_trips_that_are_ready(tmp_path, monkeypatch):

@@ -46,11 +46,11 @@ def written(tmp_path, *words):
     return (tmp_path / "trip.yaml").read_text(encoding="utf-8")
 
 
-def assert_ready(tmp_path):
+def assert_ready(tmp_path, words="1 of 1 trip ready"):
     options = ["--no-pictures", "-o", tmp_path / "out"]
     done = typed(check, tmp_path / "trip.yaml", *options, cwd=tmp_path)
     assert done.returncode == 0, done.stdout
-    assert "1 of 1 trip ready" in done.stdout
+    assert words in done.stdout
     return read_manifest(tmp_path / "trip.yaml")
 
 
@@ -148,7 +148,8 @@ def test_german_csv_of_a_logger_becomes_a_manifest(channels, tmp_path):
     (tmp_path / "gps.csv").write_text("t;v [km/h]\n" + gps)
     text = written(tmp_path, "Messung.csv", "gps.csv", *SAID[:3])
     assert "delimiter ';'" in text
-    manifest = assert_ready(tmp_path)
+    # no train moves like copies of one side: they are too short to be read as parts
+    manifest = assert_ready(tmp_path, "1 can be read but holds too little")
     assert [one.column for one in manifest.channels["bogie"]] == [
         "Drehgestell li [m/s2]",
         "Drehgestell re [m/s2]",

@@ -153,7 +153,8 @@ def test_bins_of_a_line_follow_the_speeds():
     first, last = 29.5 / (np.pi * 0.9), 30.5 / (np.pi * 0.9)
     assert first - 0.6 < held[0] < first < last < held[-1] < last + 0.6
     wider = bins[line_bins([line], torch.tensor([[29.5, 30.0], [30.0, 30.5]]), bins, 20.0, 5)]
-    assert wider[0] == pytest.approx(held[0] - 0.1) and wider[-1] == pytest.approx(held[-1] + 0.1)
+    assert wider[0] == pytest.approx(held[0] - 0.1)
+    assert wider[-1] == pytest.approx(held[-1] + 0.1)
     assert not line_bins([], torch.ones(1, 2), bins, 20.0).any()
 
 
