@@ -89,7 +89,7 @@ def test_what_it_needs_is_said(tmp_path):
 
 @pytest.mark.parametrize(
     ("minutes", "direction", "state"),
-    [(16.0, "forward", READY), (16.0, None, TOO_LITTLE), (3.0, "forward", TOO_LITTLE)],
+    [(16.0, "forward", READY), (16.0, None, TOO_LITTLE), (1.9, "forward", TOO_LITTLE)],
 )
 def test_check_says_whether_its_parts_can_be_read(tmp_path, monkeypatch, minutes, direction, state):
     for name in ("check_order", "check_end"):  # noise has none
