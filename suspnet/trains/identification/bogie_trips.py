@@ -54,8 +54,8 @@ SEGMENTS_S = (120.0, 60.0)
 """Lengths of segments, of which the first that gives enough averages is taken: the shorter a
 segment, the more of a bin is leaked by its neighbours."""
 N_BINS = 5
-"""Bins of a segment that are averaged: 1 uses a tenth of what a trip tells, and c_p of twelve trips
-is 1.6 times as far off, healthy parts 1.2 to 2.4 times (benchmarks/rough_train.py, family)."""
+"""Bins of a segment that are averaged: 1 uses a tenth of what a trip tells, and parts of twelve
+trips are 1.1 to 1.9 times as far off (k_p, c_s; benchmarks/rough_train.py, family, seed 0)."""
 AVERAGES_OF_SENSOR = 2
 """Averages for each sensor that are enough, as noise is told from them."""
 UNLIKE_HEALTHY = 3.0
