@@ -33,7 +33,7 @@ from suspnet.ground.wording import command
 from suspnet.runs.dataset import write_dataset
 from suspnet.runs.fit import check_hyperparameters
 from suspnet.runs.language import check_language, speaking
-from suspnet.runs.train import train
+from suspnet.runs.train import RunContext, train
 
 with optional("trips"):  # `suspensions` says what is missing
     from suspnet.trains.identification.healthy_trips import read_healthy
@@ -192,5 +192,8 @@ def _train(config: DictConfig, folder: Path) -> None:
         search=search,
         refine=config.refine,
         figures=config.figures,
-        config=resolved,
+        context=RunContext(
+            config=resolved,
+            swept=folders.swept(),
+        ),
     )

@@ -70,7 +70,7 @@ def evaluate(
     }
     with RunLog(output, is_new=True) as run_log:
         # the models of a multirun may have different outputs
-        log_scores(run_log, metrics)
+        log_scores(run_log, metrics, model.training["parameters"], ("model", "group"))
         if figures:
             draw_run(problem, model, outcome, run_log, output / "figures")
     write_json(output / "metrics.json", metrics)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 import numpy as np
@@ -15,7 +17,7 @@ from suspnet.curves.protocols import Task
 from suspnet.estimation.estimate import KINDS
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.ground.types import FloatArray
-from suspnet.learning.metrics import interval_scores, score, score_where
+from suspnet.learning.metrics import METRICS, interval_scores, score, score_where
 from suspnet.runs import plots
 from suspnet.runs.plots import PEAKS
 from suspnet.runs.predict import Outcome
@@ -123,13 +125,32 @@ def _rms_ratio(task: Task, outcome: Outcome, bounds: FloatArray) -> dict[str, fl
     return dict(zip(task.outputs, ratios.tolist(), strict=True))
 
 
-def log_scores(run_log: RunLog, metrics: Metrics) -> None:
-    """Write the table of scores, and the errors and the time as scalars, to compare runs by."""
+def log_scores(
+    run_log: RunLog, metrics: Metrics, parameters: Mapping[str, Any], swept: Sequence[str] = ()
+) -> None:
+    """Write the table of scores, and hyperparameters and scores for TensorBoard's HPARAMS tab.
+
+    `swept` are the keys that a multirun varies.
+    """
     run_log.text("scores", scores_table(metrics))
-    finals = {f"rms_percent_{name}": error for name, error in metrics["rms_percent"].items()}
-    finals |= {f"rms_ratio_{name}": ratio for name, ratio in metrics["rms_ratio"].items()}
+    errors = metrics["rms_percent"]
+    finals = {"rms_percent": fmean(errors.values())}
+    columns = ["rms_percent", *(["cv_rmse"] if "search" in metrics else []), "seconds"]
+    # which outputs there are depends on these
+    if not {"group", "protocol", "experiment"} & set(swept):
+        columns += [f"mape_percent_{output}" for output in errors]
+    finals |= {
+        f"{metric}_{output}": values[metric]
+        for output, values in metrics["scores"].items()
+        for metric in METRICS
+    }
+    finals |= {f"rms_ratio_{output}": ratio for output, ratio in metrics["rms_ratio"].items()}
+    finals = {name: value for name, value in finals.items() if math.isfinite(value)}
     finals["seconds"] = metrics["seconds"]
-    run_log.scalars("final", {k: v for k, v in finals.items() if math.isfinite(v)}, 0)
+    if "search" in metrics:
+        finals["cv_rmse"] = min(metrics["search"]["rmse"])
+    names = [key.rpartition(".")[2] for key in swept]
+    run_log.hyperparameters({**parameters, **metrics}, finals, columns, names)
 
 
 def report(metrics: Metrics, folder: Path) -> None:

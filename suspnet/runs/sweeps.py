@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from shlex import quote
@@ -14,6 +15,7 @@ import yaml
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 from tabulate import tabulate
+from torch.utils.tensorboard import SummaryWriter
 
 from suspnet.ground.core_yaml import read_yaml
 from suspnet.ground.ledger import HYDRA
@@ -31,6 +33,8 @@ from suspnet.runs.tables import (
 from suspnet.runs.tensorboard import RunLog
 
 log = logging.getLogger(__name__)
+TRIALS = "trials"
+"""Folder of a multirun with a run of TensorBoard for each trial of its searches."""
 MOST_COLUMNS = 100
 """Width of the terminal that texts are wrapped for."""
 Run = Mapping[str, Any]
@@ -206,13 +210,32 @@ def _write_table5(runs: Sequence[Run], folder: Path, note: str) -> None:
     write_json(folder / "table5.json", [_search_record(run) for run in searched])
     table = _table5_markdown(searched, n_jobs=len(list(folder.glob("*/config.yaml"))))
     write_atomically(folder / "table5.md", f"{table}\n")
+    _write_trials(searched, folder / TRIALS)
     log.info(
-        "best hyperparameters (least cross-validated RMSE):\n\n%s\n\n%s-> %s\nuse them with: %s",
+        "best hyperparameters (least cross-validated RMSE):\n\n%s\n\n%s-> %s\n"
+        "use them with: %s\nsee every trial of a method with: tensorboard --logdir %s/METHOD",
         table,
         content,
         path,
         use,
+        quote(str(folder / TRIALS)),
     )
+
+
+def _write_trials(searched: Sequence[Run], folder: Path) -> None:
+    """Write each trial as a row of TensorBoard's HPARAMS tab, in the folder of its method."""
+    for k, run in enumerate(searched):
+        search = run["search"]
+        with SummaryWriter(str(folder / run["model"])) as writer:
+            for i, (setting, rmse) in enumerate(
+                zip(search["settings"], search["rmse"], strict=True)
+            ):
+                # null, in a file, stands for a trial that failed
+                if isinstance(rmse, float) and math.isfinite(rmse):
+                    numbers = {key: v for key, v in setting.items() if isinstance(v, int | float)}
+                    finals = {"cv_rmse": rmse, "best": float(setting == search["best"])}
+                    row = {"group": run["group"], **numbers}
+                    writer.add_hparams(row, finals, run_name=f"{run['group']}_{k}/{i}")
 
 
 def _table5_markdown(searched: Sequence[Run], n_jobs: int) -> str:

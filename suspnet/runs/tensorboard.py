@@ -1,10 +1,10 @@
-"""TensorBoard: scalars of each iteration, final scores, figures, the configuration as text."""
+"""TensorBoard: scalars of each iteration, hyperparameters, figures, the configuration as text."""
 
 from __future__ import annotations
 
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, Self
 
@@ -12,10 +12,34 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
+from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 from torch.utils.tensorboard import SummaryWriter
+from torch.utils.tensorboard.summary import hparams
 
 from suspnet.ground.storage import write_atomically
 
+HYPERPARAMETERS: dict[str, Any] = {
+    "model": "",
+    "group": "",
+    "C": 0.0,
+    "sigma": 0.0,
+    "epsilon": 0.0,
+    "feature_map": "",
+    "n_components": 0,
+    "length_scale": 0.0,
+    "signal_variance": 0.0,
+    "noise_variance": 0.0,
+    "n_train": 0,
+    "snr_db": 0.0,
+    "seed": 0,
+    "protocol": "",
+    "vehicle": "",
+}
+"""Columns of the HPARAMS tab, each with a value of its type."""
+OF_EVERY_METHOD = ("model", "group", "n_train", "snr_db", "seed", "protocol", "vehicle")
+"""Columns that a run of any method fills."""
+SHOWN_FIRST = ("model", "group", "C", "sigma", "epsilon")
+"""Hyperparameters that the table shows of a run that is no job of a multirun."""
 SECTIONS = {
     "comparison": ("table6", "tube"),
     "estimates": ("parity",),
@@ -84,3 +108,42 @@ class RunLog:
             stream = io.BytesIO()
             Image.fromarray(np.ascontiguousarray(pixels)).save(stream, "PNG")
             write_atomically(folder / f"{name}.png", stream.getvalue())
+
+    def hyperparameters(
+        self,
+        values: Mapping[str, Any],
+        metrics: Mapping[str, float],
+        columns: Collection[str],
+        swept: Collection[str] = (),
+    ) -> None:
+        """Write hyperparameters and final metrics for the HPARAMS tab.
+
+        `columns` are the metrics that every run of a multirun has: the parallel coordinates leave
+        out a run without one of them, or without a hyperparameter that is shown. `swept` are the
+        hyperparameters in which its runs differ.
+
+        `SummaryWriter.add_hparams` would create a folder of its own below the run's; these
+        summaries go into the run's own file, so that a run is one row of the table and one line of
+        the parallel coordinates. TensorBoard takes the columns from whichever run it meets first,
+        so every run of a multirun declares the same ones. It shows those declared to differ, in
+        alphabetical order.
+        """
+        finals = {f"final/{name}": 0.0 for name in columns}
+        names = OF_EVERY_METHOD if "model" in swept else HYPERPARAMETERS
+        known = {key: HYPERPARAMETERS[key] for key in names}
+        known |= {key: values[key] for key in swept if _is_plain(values.get(key))}
+        experiment, _, end = hparams(known, finals)
+        content = experiment.value[0].metadata.plugin_data
+        declared = HParamsPluginData.FromString(content.content)
+        for info in declared.experiment.hparam_infos:
+            info.differs = info.name in (swept or SHOWN_FIRST)
+        content.content = declared.SerializeToString()
+        used = {k: v for k, v in values.items() if k in known and _is_plain(v)}
+        _, start, _ = hparams(used, finals)
+        for summary in (experiment, start, end):
+            self._writer._get_file_writer().add_summary(summary)
+        self.scalars("final", metrics, 0)
+
+
+def _is_plain(value: Any) -> bool:
+    return isinstance(value, bool | int | float | str)

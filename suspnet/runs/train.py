@@ -8,8 +8,8 @@ import platform
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
-from dataclasses import asdict, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,18 @@ log = logging.getLogger(__name__)
 PACKAGES = ("suspnet", "torch", "numpy", "scipy", "scikit-learn", "hydra-core", "tensorboard")
 
 
+@dataclass(frozen=True)
+class RunContext:
+    """What the calling program adds to the records and figures of a run.
+
+    `config` is the resolved configuration; its `reading_name` and `search_name` go into
+    metrics.json. `swept` are the keys that a multirun varies.
+    """
+
+    config: Mapping[str, Any] = field(default_factory=dict)
+    swept: Sequence[str] = ()
+
+
 def train(
     problem: Problem,
     estimator: Any,
@@ -40,7 +52,7 @@ def train(
     search: GridSearch | None = None,
     refine: bool = False,
     figures: bool = True,
-    config: Mapping[str, Any] | None = None,
+    context: RunContext | None = None,
 ) -> Metrics:
     """Train one method on one problem, test it, and fill a run folder.
 
@@ -59,8 +71,6 @@ def train(
         Tunes the method first.
     refine : bool
         Refine the estimates by Gauss-Newton steps on the curves.
-    config : mapping, optional
-        Resolved configuration of the program that calls, for the records of the run.
 
     Returns
     -------
@@ -75,20 +85,20 @@ def train(
     FileExistsError
         If the folder holds files that are not suspnet's.
     """
-    config = config or {}
+    context = context or RunContext()
     check_hyperparameters(estimator)
     if folder is None:
         if search is not None:
             raise ValueError("`search` needs a `folder`: its table is written there")
         model = calibrated(problem, replace(fit(problem, estimator, None), refined=refine))
-        return _metrics(problem, model, predict_stream(problem, model, TEST), None, config)
+        return _metrics(problem, model, predict_stream(problem, model, TEST), None, context)
     folder = Path(folder)
     method_name(estimator)
     check_saveable(estimator, problem)
-    if not config:  # programs look at their folder before
+    if not context.config:  # programs look at their folder before
         ledger.begin(folder)
     with RunLog(folder, is_new=True) as run_log:
-        run_log.config(config)
+        run_log.config(context.config)
         search_result, search_notes = None, {}
         tried = [] if search is None else search.settings_of(method_name(estimator))
         if len(tried) == 1:  # nothing to compare
@@ -106,12 +116,12 @@ def train(
         model = calibrated(problem, model)
         stage("test")
         outcome = predict_stream(problem, model, TEST)
-        metrics = _metrics(problem, model, outcome, search_result, config)
+        metrics = _metrics(problem, model, outcome, search_result, context)
         # the accuracy goes into the model's file for those who have no run folder
         accuracy = {"test_rms_percent": metrics["rms_percent"]}
         stage("figures and tables of the run")
         write_model(folder, replace(model, training=model.training | accuracy))
-        log_scores(run_log, metrics)
+        log_scores(run_log, metrics, model.training["parameters"], context.swept)
         if figures:
             log_error_by_n(problem, model, outcome, run_log)
             draw_run(problem, model, outcome, run_log, folder / "figures")
@@ -136,7 +146,7 @@ def _metrics(
     model: TrainedModel,
     outcome: Outcome,
     search: SearchResult | None,
-    config: Mapping[str, Any],
+    context: RunContext,
 ) -> Metrics:
     """Return the content of metrics.json."""
     metrics: Metrics = {
@@ -148,8 +158,8 @@ def _metrics(
     if search is not None:
         metrics["search"] = asdict(search) | {"best": search.best}
     for key, name in (("reading", "reading_name"), ("search_name", "search_name")):
-        if config.get(name):
-            metrics[key] = config[name]
+        if context.config.get(name):
+            metrics[key] = context.config[name]
     metrics["rms_percent"] = rms_percent(problem.task, outcome)
     return metrics
 

@@ -8,6 +8,7 @@ import signal
 import pytest
 from cli_runner import SMALL, blank_figures, run_main, typed
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 
 from suspnet.cli import evaluate, program, train
 from suspnet.curves.problem import Problem
@@ -98,7 +99,7 @@ def test_tensorboard_shows_the_iterations_of_each_solver_by_name(tmp_path, solve
     assert 0 < support[-1][1] < 80
 
 
-def test_tensorboard_holds_figures_and_scores(run):
+def test_tensorboard_holds_figures_and_hyperparameters(run):
     folder, metrics = run
     events = EventAccumulator(str(folder)).Reload()
     tags = events.Tags()
@@ -112,8 +113,11 @@ def test_tensorboard_holds_figures_and_scores(run):
     assert errors[-1].step == metrics["training"]["n_train_complete"]
     assert errors[-1].value == pytest.approx(metrics["rms_percent"]["k_p"], rel=1e-6)
     assert "custom_scalars__config__" in tags["tensors"]
-    assert events.Scalars("final/rms_percent_k_p")[0].value == pytest.approx(
-        metrics["rms_percent"]["k_p"], rel=1e-6
+    plugin = events.summary_metadata["_hparams_/session_start_info"].plugin_data
+    assert plugin.plugin_name == "hparams"
+    assert b"sigma" in plugin.content
+    assert events.Scalars("final/mape_percent_k_p")[0].value == pytest.approx(
+        metrics["scores"]["k_p"]["mape_percent"], rel=1e-6
     )
 
 
@@ -246,6 +250,24 @@ def test_tensorboard_shows_the_comparison_first(table6):
     assert all(
         any(name.startswith("estimates/parity_") for name in found) for found in images.values()
     )
+
+
+def test_tensorboard_shows_what_a_multirun_varies(table6):
+    folder, _ = table6
+    for run in folder.glob("[0-9]_*"):
+        summaries = EventAccumulator(str(run)).Reload().summary_metadata
+        content = summaries["_hparams_/experiment"].plugin_data.content
+        experiment = HParamsPluginData.FromString(content).experiment
+        columns = experiment.hparam_infos
+        assert {column.name for column in columns if column.differs} == {"group", "model"}
+        # the parallel coordinates leave out runs without one of the metrics
+        names = [info.name.tag for info in experiment.metric_infos]
+        assert names == ["final/rms_percent", "final/seconds"]
+        assert set(names) <= set(EventAccumulator(str(run)).Reload().Tags()["scalars"])
+        content = summaries["_hparams_/session_start_info"].plugin_data.content
+        values = HParamsPluginData.FromString(content).session_start_info.hparams
+        group, model = run.name.split("_")[-2:]
+        assert (values["group"].string_value, values["model"].string_value) == (group, model)
 
 
 def test_table6_has_a_record_for_each_output_metric_and_model(table6):

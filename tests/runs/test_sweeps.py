@@ -4,8 +4,11 @@ import csv
 import json
 import math
 
+import pytest
 import yaml
 from omegaconf import OmegaConf
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 from test_tables import run
 
 from suspnet.ground.storage import read_json, write_json
@@ -48,6 +51,17 @@ def test_optimum_left_on_an_edge_is_told(tmp_path):
     written = (tmp_path / "table5.md").read_text()
     assert written.startswith("2 of 0 searches finished\n")  # no folders of jobs here
     assert "| primary | svr      | C 100, epsilon 0.001 | C             | 0.1 " in written
+    # TensorBoard's HPARAMS tab has a row for each trial that could be fitted
+    trials = tmp_path / "trials"
+    rows = sorted({path.parent for path in trials.rglob("events*")} - {*trials.iterdir()})
+    names = [f"{model}/primary_{k}/{i}" for k, model in ((1, "msvr"), (0, "svr")) for i in (0, 2)]
+    assert [str(row.relative_to(trials)) for row in rows] == names
+    events = EventAccumulator(str(rows[1])).Reload()
+    assert [event.value for event in events.Scalars("best")] == [1]
+    assert [event.value for event in events.Scalars("cv_rmse")] == [pytest.approx(0.1)]
+    start = events.summary_metadata["_hparams_/session_start_info"].plugin_data.content
+    shown = HParamsPluginData.FromString(start).session_start_info.hparams
+    assert {"C", "epsilon", "group"} == set(shown)
 
 
 def finished(folder, name, seed, group, errors, **settings):
