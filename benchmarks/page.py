@@ -209,6 +209,7 @@ def measure(store: str, settings: BoardSettings) -> list[Row]:
     name = next(iter(board.view.keys))
     rows += pages(ask, "client", name) + pages(http_ask, "HTTP", name)
     rows.append(measured("nothing new", "refresh", board.refresh))
+    rows.append(measured("first view of a served store", "board", Board(store, settings).refresh))
     rows.append(cold_start(store))
     for number in (0, 5):
         write_new_trips(store, [number])

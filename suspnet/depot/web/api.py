@@ -99,10 +99,11 @@ def _read_view() -> FleetView:
 
 
 def _state(name: str) -> State:
-    view = _read_view()
-    if name not in view.keys:
+    _read_view()
+    state = current_refresher().board.whole(name)
+    if state is None:
         abort(404, "There is no such suspension in this history.")
-    return view.states[view.keys[name]]
+    return state
 
 
 def _listed(rows: Iterable[Row]) -> Response:

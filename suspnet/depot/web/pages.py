@@ -256,10 +256,10 @@ def _view() -> FleetView:
 
 def _state(name: str) -> State:
     """Return a suspension by its name in the URL; abort with 404 if there is none."""
-    view = _view()
-    if name not in view.keys:
+    state = current_refresher().board.whole(name)
+    if state is None:
         abort(404, gettext("There is no such suspension in this history."))
-    return view.states[view.keys[name]]
+    return state
 
 
 def _figured(state: State) -> list[str]:
