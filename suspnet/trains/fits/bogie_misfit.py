@@ -314,8 +314,8 @@ class BogieMisfit:
         """
         fit, trips = self.with_noise_at(x), []
         for i, (trip, noise) in enumerate(zip(self.trips, fit.noises, strict=True)):
-            responses = self.responses(x, i, self.all_bins).permute(2, 1, 0)
             # bins that are left out are as expected, too
+            responses = self._responses_at(x, i, self.frequencies_hz).permute(2, 1, 0)
             inverse = torch.linalg.pinv(responses)
             inputs = inverse @ (trip.spectra.values - noise) @ inverse.mH
             power, vectors = torch.linalg.eigh(inputs)

@@ -63,6 +63,8 @@ UNLIKE_HEALTHY = 3.0
 something else than springs and dampers has changed."""
 LOW_HZ, HIGH_HZ = 0.5, 18.0
 """Ends of the band: below, accelerometers drift; above, frame and body have modes of their own."""
+MAINS_HZ, HUM_BINS = 50 / 3, 3
+"""Mains of railways, whose hum no vehicle explains, and the bins beside it that hold leakage."""
 SPACING_HZ, EQUAL_SPACING_HZ = 0.1, 0.05
 """Distance of the bins that are read, far enough for them to be independent. Few sensors need all
 that a trip tells: 6 bins of its longest segments, of which 5 are averaged."""
@@ -105,8 +107,8 @@ def bogie_trip(
     """Return the spectral matrix of a recording's largest stretch at one speed.
 
     If sensors of the generator's are missing or dead, or one whose faults leave no long stretch, it
-    is that of the others (`lost` of the result). Bins with lines of out-of-round wheels of axle 1
-    are left out.
+    is that of the others (`lost` of the result). Bins with lines of out-of-round wheels of axle 1,
+    and with hum of 16.7 Hz, are left out.
 
     Parameters
     ----------
@@ -174,13 +176,15 @@ def _trip_of_all(
     bins = _bins(segments.frequencies_hz, every)
     matrix = SpectralMatrix.of(segments, chosen, n_bins).at(bins).of_sensors(order)
     frequencies_hz, lines = segments.frequencies_hz[bins], wheel_lines(recording)
+    left_out = (frequencies_hz - MAINS_HZ).abs() <= (HUM_BINS + n_bins // 2) / segment_s
+    left_out |= line_bins(lines, speeds[chosen], frequencies_hz, segment_s, n_bins)
     return BogieTrip(
         frequencies_hz,
         matrix,
         float(speeds[chosen].mean()),
         direction or recording.manifest.direction or FORWARD,
         lost,
-        line_bins(lines, speeds[chosen], frequencies_hz, segment_s, n_bins) if lines else None,
+        left_out,
         segments.welch,
         n_bins,
     )
