@@ -347,7 +347,8 @@ def two_suspensions(rows: Sequence[Row]) -> str:
         if row["truth"] < 1:
             line = lines.setdefault(row["trip"], [f"{100 * row['truth']:.1f}"])
             low, high = (f"{100 * row[end]:.3g}" for end in ("low", "high"))
-            line.append(f"{100 * row['estimate']:.3g} ({low} to {high})")
+            value = f"{100 * row['estimate']:.3g} ({low} to {high})"
+            line.append("no estimate" if np.isnan(row["estimate"]) else value)
     heads = [
         "c_p of axle 2, left",
         "six sensors, part by part",
