@@ -56,9 +56,11 @@ class Welch:
         turns = np.exp(-2j * np.pi * np.outer(away, np.arange(length)) / length)
         total = 0.0
         for j in range(min(math.ceil(length / step), math.ceil(n_segments))):
-            one, other = window[j * step :], window[: length - j * step]
-            beside = np.abs(turns[:, : len(one)] @ (one * other)) ** 2 @ (1 - away / n_bins)
-            shared = float(one @ other) ** 2 + 2 * float(beside)
+            first, second = window[: length - j * step], window[j * step :]
+            # of the same bin, then of its neighbours
+            shared = float(first @ second) ** 2
+            products = np.abs(turns[:, : len(first)] @ (first * second)) ** 2
+            shared += 2 * float(products @ (1 - away / n_bins))
             total += (2 if j else 1) * (1 - j / n_segments) * shared / float(window @ window) ** 2
         return n_segments * n_bins / total
 

@@ -101,8 +101,8 @@ class SampledMotion:
 
     This recursion for each mode neither drifts nor loses digits at any sampling rate 1 / h
     (Hochbruck and Ostermann, Exponential integrators, 2010, section 2). `direct` (n_outputs,
-    n_inputs) is what outputs hold of the inputs at once. Raises ValueError if two
-    modes coincide (critical damping), so that the eigenvectors are not independent.
+    n_inputs) is the feedthrough D of the state space. Raises ValueError if two modes coincide
+    (critical damping), so that the eigenvectors are not independent.
     """
 
     def __init__(self, system: LinearSystem, rate_hz: float) -> None:

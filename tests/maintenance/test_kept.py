@@ -151,7 +151,7 @@ def test_a_changed_suspension_is_shown_once_it_is_computed(store, computed, monk
 
 
 def test_what_several_trips_name_later_is_shown(served, store, computed):
-    # as the next trip, or an evaluation of the folder, writes a trip anew
+    # as the next trip, or an evaluation of the folder, writes a trip again
     with History(store) as history:
         history.write([replace(history.read("am96", BOGIE)[-1], worn="")])
     board = refreshed(store)

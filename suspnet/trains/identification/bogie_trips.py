@@ -54,20 +54,21 @@ SEGMENTS_S = (120.0, 60.0)
 """Lengths of segments, of which the first that gives enough averages is taken: the shorter a
 segment, the more of a bin is leaked by its neighbours."""
 N_BINS = 5
-"""Bins of a segment that are averaged: 1 uses a tenth of what a trip tells, and parts of twelve
-trips are 1.1 to 1.9 times as far off (k_p, c_s; benchmarks/rough_train.py, family, seed 0)."""
+"""Neighbouring bins whose spectra are averaged. With 1 the errors of the parts of twelve trips are
+1.1 to 1.9 times as large (k_p, c_s; benchmarks/rough_train.py, family, seed 0)."""
 AVERAGES_OF_SENSOR = 2
-"""Averages for each sensor that are enough, as noise is told from them."""
+"""Independent averages a sensor that a trip must exceed: its noise is estimated from them."""
 UNLIKE_HEALTHY = 3.0
 """Misfit of a trip, over noise and errors that the healthy trips show, from which it is flagged:
 something else than springs and dampers has changed."""
 LOW_HZ, HIGH_HZ = 0.5, 18.0
 """Ends of the band: below, accelerometers drift; above, frame and body have modes of their own."""
 MAINS_HZ, HUM_BINS = 50 / 3, 3
-"""Mains of railways, whose hum no vehicle explains, and the bins beside it that hold leakage."""
+"""Frequency of railway mains, whose hum no vehicle explains, and the reach of its leakage in bins
+of a segment."""
 SPACING_HZ, EQUAL_SPACING_HZ = 0.1, 0.05
-"""Distance of the bins that are read, far enough for them to be independent. Few sensors need all
-that a trip tells: 6 bins of its longest segments, of which 5 are averaged."""
+"""Distance of the bins that are read, far enough for them to be independent. Few sensors need
+all data of a trip: 6 bins of its longest segments, of which 5 are averaged."""
 
 
 def bogie_vehicle(

@@ -22,6 +22,7 @@ from suspnet.ground.storage import printable
 from suspnet.ground.workers import ITEMS_A_WORKER, USUAL_WORKERS, LostWorkerError, each, workers_for
 from suspnet.runs.language import N_
 from suspnet.trains.history import History
+from suspnet.trains.history.schema import trip_key
 from suspnet.trains.maintenance.alarms import Acknowledgement, detector_words, watch
 from suspnet.trains.maintenance.assessment import spoken
 from suspnet.trains.maintenance.change import ChangeSettings
@@ -213,7 +214,7 @@ def _report(
     group, models, output = suspension.group, suspension.models, suspension.output
     stage(f"trend and report of {group.place}")
     # all trips, with those that the store held already
-    results = of_folder = [replace(result, place=group.place) for result in suspension.results]
+    results = [replace(result, place=group.place) for result in suspension.results]
     events: list[Event] = []
     if store is not None:
         results = with_earlier(results, group.place, models, store)
@@ -221,8 +222,10 @@ def _report(
     alone = by_mileage(results)
     results = with_joint_verdicts(alone, models, settings.trips.level)
     if store is not None:
+        # stored before alone; those that the store held already keep what they name
+        of_folder = {trip_key(result) for result in suspension.results}
         pairs = zip(results, alone, strict=True)
-        store.write([r for r, before in pairs if r is not before and before in of_folder])
+        store.write([r for r, one in pairs if r is not one and trip_key(r) in of_folder])
     series = replace(series_of(results, events), vehicle=suspension.vehicle)
     results = with_widened(results, events)
     used = commissionings(models, results)

@@ -36,7 +36,7 @@ def simulate_trip(
     With sensors on both sides three more rows follow, those of the other side. The acceleration of
     a wheelset is v^2 r'' + a r' of the track r at its position. The vehicle's response is exact for
     inputs that are linear between samples, which makes sinc^2(f / rate) of each of them: a twelfth
-    of their second difference is taken off beforehand, so that 1e-5 is missing at rate / 30.
+    of their second difference is taken off beforehand, so that 2e-5 is missing at rate / 30.
 
     `profile` must be at least `profile_length_m` long. With roll, `cross` is an independent profile
     of `cross_level_spectrum`; the angle of the track is the system's `roll_per_m` times it. With
