@@ -36,6 +36,9 @@ LEVELS = (0.5, 0.62, 0.75, 0.85, 0.92)
 PAYLOADS = (0.95, 1.18)
 KINDS = ("k_p", "c_p", "k_s", "c_s")
 RATE_HZ = 250.0
+SPEED_M_PER_S = 70.0
+LATER_SEEDS = 1000
+"""Between the seed of a train and that of its later trips, where these have another length."""
 
 
 def drawn_ratios(options, seed):
@@ -46,9 +49,10 @@ def drawn_ratios(options, seed):
     ratios[:, -1] = rng.uniform(*PAYLOADS, len(ratios))
     ratios[: options.healthy, -1] = rng.permutation(np.linspace(*PAYLOADS, options.healthy))
     # each kind of part at low and high levels, in another order for each seed
-    levels = np.resize(rng.permutation(LEVELS), n_parts)
-    for i, part in enumerate(np.linspace(0, n_parts - 1, options.worn).round().astype(int)):
-        ratios[options.healthy + i, part] = levels[part]
+    n_worn = max(options.worn, n_parts)
+    levels = np.resize(rng.permutation(LEVELS), n_worn)
+    for i, number in enumerate(np.linspace(0, n_worn - 1, options.worn).round().astype(int)):
+        ratios[options.healthy + i, number % n_parts] = levels[number]
     return ratios
 
 
@@ -57,20 +61,37 @@ VEHICLE = suspnet.SpatialVehicle(AM96, parts=PARTS_OF_BOGIE, distribution="prior
 
 def simulated(name, seed, options, folder):
     """Return the ratios of one train's trips, their temperatures [°C] and the trips."""
-    ratios = drawn_ratios(options, seed)
-    fleet = Fleet(n_trips=len(ratios), minutes=options.minutes, rate_hz=RATE_HZ)
-    begun = time.perf_counter()
-    paths = write_train_trips(
-        folder, RichTrain.scattered(seed, SETS[name]), ratios, fleet, seed, rate_hz=RATE_HZ
-    )
-    print(f"{name}, {seed}: {time.perf_counter() - begun:.0f} s to simulate", flush=True)
-    manifests = [suspnet.read_manifest(path) for path in paths]
+    ratios, manifests = written(name, seed, options, folder)
     celsius = [manifest.temperature_c for manifest in manifests]
     trips = [
         suspnet.bogie_trip(suspnet.load_recording(manifest, 100.0), VEHICLE)
         for manifest in manifests
     ]
     return ratios, celsius, trips
+
+
+def written(name, seed, options, folder):
+    """Return the ratios of one train's trips and their manifests, written to a folder."""
+    ratios = drawn_ratios(options, seed)
+    speeds = np.random.default_rng([seed, 31]).uniform(*options.speeds, len(ratios))
+    train = RichTrain.scattered(seed, SETS[name])
+
+    def write(some, minutes, own_seed):
+        fleet = Fleet(n_trips=len(ratios[some]), minutes=minutes, rate_hz=RATE_HZ)
+        at = {"speeds_m_per_s": speeds[some], "rate_hz": RATE_HZ}
+        return write_train_trips(
+            folder / str(own_seed), train, ratios[some], fleet, own_seed, **at
+        )
+
+    begun = time.perf_counter()
+    if options.later_minutes is None:
+        paths = write(slice(None), options.minutes, seed)
+    else:
+        paths = write(slice(options.healthy), options.minutes, seed)
+        later = slice(options.healthy, None)
+        paths += write(later, options.later_minutes, seed + LATER_SEEDS)
+    print(f"{name}, {seed}: {time.perf_counter() - begun:.0f} s to simulate", flush=True)
+    return ratios, [suspnet.read_manifest(path) for path in paths]
 
 
 def read(name, seed, options, ratios, celsius, trips):
@@ -157,6 +178,8 @@ def main():
     parser.add_argument("--worn", type=at_least(1), default=12, help="trips with a worn part")
     parser.add_argument("--later", type=at_least(0), default=3, help="healthy trips after these")
     parser.add_argument("--minutes", type=at_least(4, float), default=20.0, help="of a trip")
+    parser.add_argument("--later-minutes", type=at_least(3, float), help="of trips after these")
+    parser.add_argument("--speeds", nargs=2, type=float, default=[SPEED_M_PER_S] * 2, help="m/s")
     parser.add_argument("--output", type=Path, default=RESULTS, help="folder of the table")
     options = parser.parse_args()
     torch.set_num_threads(1)
