@@ -100,6 +100,13 @@ class Train:
         self.axles = [self.toward * a * sign for sign in (1, -1, 1, -1)]
         self.system = np.zeros((SIZE, SIZE), dtype=complex)
         self.drive = np.zeros((SIZE, INPUTS), dtype=complex)
+        # the body's motion is that of its centre of mass
+        self.centre = np.zeros(3)
+        if "load" in self.parts:
+            self.centre[:2] += self.ahead * n["load_ahead"], n["load_aside"]
+        if "equipment" in self.parts:  # it balances with the rest of the body about the middle
+            hung = np.array([self.ahead * n["equipment_ahead"], n["equipment_aside"]])
+            self.centre[:2] -= n["equipment_share"] * hung
         # what wheelsets are made to do: rows of coordinates that follow the track
         self.led = np.zeros((SIZE, INPUTS))
         self.slaved = np.zeros((SIZE, SIZE))  # what follows other coordinates
@@ -135,7 +142,7 @@ class Train:
 
         `heights` are those of the first and second bending there; torsion turns the body about x.
         """
-        row = moved(BODY, place, axis)
+        row = moved(BODY, place - self.centre, axis)
         row[42] = heights[0] * axis[2]
         row[45] = heights[1] * axis[2]
         row[46] = end * self.n["twist_at_pivot"] * np.cross(place, axis)[0]
@@ -193,7 +200,7 @@ class Train:
         self.system += np.diag([0] * 42 + modal + [0])
         if "equipment" in self.parts:
             at = [self.ahead * n["equipment_ahead"], n["equipment_aside"], 0]
-            above, below = moved(BODY, at, Z), np.zeros(SIZE)
+            above, below = moved(BODY, at - self.centre, Z), np.zeros(SIZE)
             above[42], below[47] = n["equipment_at_bending"], 1.0
             self.add(self.mode("equipment", hung), above, below)
 

@@ -78,6 +78,9 @@ FAILED_OTHER = {
 in configs/scenarios.yaml."""
 FAILED_DEVIATION = 0.5
 """Standard deviation of their logarithms then: a flat one is 4 to 12 times as stiff."""
+LOAD_DEVIATIONS = {"load_ahead": 0.25, "load_aside": 0.03}
+"""Standard deviations of where a trip's load has the body's centre of mass, [m], assumed: a fifth
+of the mass, whose own centre scatters by 1.25 m along the car and by .15 m across."""
 MASS_MEAN, MASS_DEVIATION = math.log(1.05), 0.15
 """Prior mean and standard deviation of the logarithm of a trip's car-body mass over nominal."""
 
@@ -109,6 +112,7 @@ ADDITIONS: dict[str, tuple[str, ...]] = {
     "equipment": ("z_e",),
     "floors": (),
     "cross_axis": (),
+    "load": (),
 }
 """Parts that only a vehicle of twelve separate parts may have, each with its coordinates."""
 LATERAL = ("frame_sway", "frame_yaw", "creep")

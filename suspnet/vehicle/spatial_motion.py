@@ -2,14 +2,16 @@
 
 An element of dynamic stiffness kappa (`suspnet.vehicle.vertical_motion`) that is stretched by u
 acts with the force kappa u against it. Letters of the vertical family hold (i = 1 the measured
-bogie, 2 the other one, sigma = +1, -1; a half wheelbase, L half pivot distance, b half distances,
-h levers, r_0 wheel radius), for the whole vehicle and not one side of it. Further, epsilon = +1, -1
+bogie, 2 the other one, sigma = +1, -1; a half wheelbase, L half pivot distance, b half distances, h
+levers, r_0 wheel radius), for the whole vehicle and not one side of it. Further, epsilon = +1, -1
 for axle 1, 2 (or 3, 4 of the other bogie; 3 is at the same end as 1), s = +1, -1 for left, right.
-Angles are multiplied by L (body: phi, chi) or a (bogie and wheelsets: psi, chi), but not the rolls
-theta; y is lateral, to the left, chi yaw and positive where the measured bogie or axle 1 moves to
-the left; rho_t tau_i is the rise of a frame's corners in torsion. f = +1, -1 if the measured bogie
-leads or trails, t likewise for axle 1. With w, x, v the height of the track under a wheelset, its
-angle and its lateral place, the stretches are::
+With the part load, the body's centre of mass is x_l from its middle towards the measured bogie and
+y_l to the left: sigma - x_l / L is in place of sigma with phi and chi, and s b - y_l in place of s
+b with theta and chi of the body. Angles are multiplied by L (body: phi, chi) or a (bogie and
+wheelsets: psi, chi), but not the rolls theta; y is lateral, to the left, chi yaw and positive where
+the measured bogie or axle 1 moves to the left; rho_t tau_i is the rise of a frame's corners in
+torsion. f = +1, -1 if the measured bogie leads or trails, t likewise for axle 1. With w, x, v the
+height of the track under a wheelset, its angle and its lateral place, the stretches are::
 
     primary, corner    kappa_p / 2   z_i + eps psi_i + s b_p theta_i + eps s rho_t tau_i
                                        - w - s b_p x
@@ -168,7 +170,8 @@ def acting(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
 def _hung(layout: Layout, p: Mapping[str, Tensor]) -> Joint:
     """Return what holds the equipment below the floor."""
     ahead = p["equipment_ahead"] / p["half_pivot_distance"]
-    body: Row = {"z": -1.0, "phi": -ahead, "theta": -p["equipment_aside"]}
+    aside = _across(layout, p, p["equipment_aside"])
+    body: Row = {"z": -1.0, "phi": -_along(layout, p, ahead), "theta": -aside}
     bent: Row = {"q": -p["equipment_at_bending"]}
     return Joint(mode_element(p, "equipment", _hung_kg(layout, p)), {"z_e": 1.0, **body, **bent})
 
@@ -176,6 +179,25 @@ def _hung(layout: Layout, p: Mapping[str, Tensor]) -> Joint:
 def _body_roll(p: Mapping[str, Tensor], sigma: float, factor: Tensor | float) -> Row:
     """Return `factor` times the roll of the body at a pivot, its torsion included."""
     return {"theta": factor, "tau_b": sigma * p["twist_at_pivot"] * factor}
+
+
+def _along(layout: Layout, p: Mapping[str, Tensor], place: Tensor | float) -> Tensor | float:
+    """Return how far a place over L is ahead of the body's centre of mass, over L."""
+    for name, metres in (("load", p["load_ahead"]), ("equipment", _balance(p, "ahead"))):
+        place = place - metres / p["half_pivot_distance"] if name in layout.parts else place
+    return place
+
+
+def _across(layout: Layout, p: Mapping[str, Tensor], place: Tensor | float) -> Tensor | float:
+    """Return how far a place is to the left of the body's centre of mass."""
+    for name, metres in (("load", p["load_aside"]), ("equipment", _balance(p, "aside"))):
+        place = place - metres if name in layout.parts else place
+    return place
+
+
+def _balance(p: Mapping[str, Tensor], direction: str) -> Tensor:
+    """Return where the body without its equipment balances it about the middle."""
+    return -p["equipment_share"] * p[f"equipment_{direction}"]
 
 
 def _height(parts: Sequence[str], wheel: int) -> str:
@@ -225,8 +247,9 @@ def _suspensions(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
                 joints.append(Joint(spring, {**_corner(i, end, lateral, p), **below}))
             spring = secondary_element(p, prefix, parts, f"_{side}")
             lateral = SIGNS[side] * p["secondary_lateral"]
-            body: Row = {"z": 1.0, "q": p["bending_at_pivot"], "phi": sigma}
+            body: Row = {"z": 1.0, "q": p["bending_at_pivot"], "phi": _along(layout, p, sigma)}
             body |= {"q_b": sigma * p["second_at_pivot"], **_body_roll(p, sigma, lateral)}
+            body |= {"theta": _across(layout, p, lateral)}
             joints.append(Joint(spring, {**body, f"z_{i}": -1.0, f"theta_{i}": -lateral}))
         if "guidance" in parts:
             joints.append(Joint(guidance, {f"psi_{i}": 1.0}))
@@ -249,9 +272,11 @@ def _linked(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
             pitched: Row = {"phi": body, "q": sigma * p["bending_slope"] * body, f"psi_{i}": bogie}
             pitched |= {"q_b": p["second_slope"] * body}
             for lateral in half, -half:
-                yawed: Row = {"chi": -f * lateral / pivot, f"chi_{i}": t * lateral / a}
+                from_centre = _across(layout, p, lateral)
+                yawed: Row = {"chi": -f * from_centre / pivot, f"chi_{i}": t * lateral / a}
                 joints.append(Joint(element, {**pitched, **yawed}))
-        swayed: Row = {"y": 1.0, "chi": sigma, **_body_roll(p, sigma, p["body_lever"])}
+        swayed: Row = {"y": 1.0, "chi": _along(layout, p, sigma)}
+        swayed |= _body_roll(p, sigma, p["body_lever"])
         swayed |= {f"y_{i}": -1.0, f"theta_{i}": p["bogie_lever"]}
         joints.append(Joint(aside, swayed))
     return joints
@@ -327,10 +352,10 @@ def _aside(layout: Layout, p: Mapping[str, Tensor], place: str) -> Row:
     return {f"v{axle}": 1.0, _roll(layout.parts, axle): -p["wheel_radius"]}
 
 
-def _ahead(layout: Layout, p: Mapping[str, Tensor]) -> Tensor:
+def _ahead(layout: Layout, p: Mapping[str, Tensor]) -> Tensor | float:
     """Return how far ahead of the body's centre its sensors are, over the pivot's distance."""
     f, _ = _ends(layout)
-    return 1 + f * layout.body_sensor_m / p["half_pivot_distance"]
+    return _along(layout, p, 1 + f * layout.body_sensor_m / p["half_pivot_distance"])
 
 
 def _axle_of(place: str) -> tuple[int, float]:
@@ -342,9 +367,10 @@ def _axle_of(place: str) -> tuple[int, float]:
 def _upwards(layout: Layout, p: Mapping[str, Tensor], place: str) -> Row:
     sign = SIGNS[place.rpartition("_")[2]]
     if place.startswith("body"):
+        lateral = sign * p["body_lateral"]
         bent: Row = {"z": 1.0, "q": p["bending_at_sensor"], "phi": _ahead(layout, p)}
         bent |= {"q_b": p["second_at_sensor"]}
-        return {**bent, **_body_roll(p, 1.0, sign * p["body_lateral"])}
+        return {**bent, **_body_roll(p, 1.0, lateral), "theta": _across(layout, p, lateral)}
     axle, end = _axle_of(place)
     if place.startswith("frame"):
         return _corner(1, end, sign * p["frame_lateral"], p)

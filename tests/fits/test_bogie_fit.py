@@ -101,6 +101,14 @@ def commissioned():
     return commissioned_bogie()
 
 
+def loaded(vehicle, rows, load_m):
+    """Return all columns of a vehicle whose load has its centre of mass there."""
+    rows = vehicle.complete(rows).clone()
+    for name, metres in zip(("load_ahead", "load_aside"), load_m, strict=True):
+        rows[:, vehicle.columns.index(name)] = metres
+    return rows
+
+
 # reference
 
 
@@ -148,14 +156,15 @@ def test_healthy_trips_may_differ_in_the_bins_that_are_left_out(commissioned):
 
 @pytest.mark.every_value
 @pytest.mark.parametrize("are_healthy", [True, False])
+@pytest.mark.parametrize("parts", [(), ("load",)])
 @pytest.mark.parametrize("lost", [(), ("axle_box_axle1_left", "body_right")])
-def test_derivatives_are_those_of_differences(are_healthy, lost):
+def test_derivatives_are_those_of_differences(are_healthy, parts, lost):
     trips = [
         without(trip(drawn(VEHICLE, row({"k_p_axle1_left": 0.8}), 5), 70.0), lost),
         trip(drawn(VEHICLE, row({}, 1.1), 6), 60.0, REVERSE),
     ]
     noise = NOISE[[place not in lost for place in VEHICLE.sensors]]
-    fit = BogieMisfit(VEHICLE, [noise, NOISE], trips, are_healthy)
+    fit = BogieMisfit(VEHICLE.with_parts(parts), [noise, NOISE], trips, are_healthy)
     x = fit.start() + 0.03 * np.random.default_rng(1).standard_normal(len(fit.start()))
     residuals, step = fit.at(0.01, fit.all_bins), 1e-5
     found = residuals.jacobian(x)
@@ -188,17 +197,25 @@ def test_scatter_and_few_trips_widen_intervals(commissioned):
     np.testing.assert_allclose(later.covariance, tau**2 * (of_noise + expected), rtol=1e-9)
 
 
-def test_exact_spectra_give_the_exact_parts():
+@pytest.mark.parametrize("load_m", [None, (0.3, -0.04)])
+def test_exact_spectra_give_the_exact_parts(load_m):
     worn = {"c_p_axle2_left": 0.6, "k_s_right": 1.2, "k_p_axle1_right": 0.7}
     plain = replace(VEHICLE, distribution={"healthy_k_s": 1e-3})
     given = torch.ones(1, 13, dtype=torch.float64)
     for name, ratio in worn.items():
         given[0, COMPONENTS.index(name)] = ratio
-    spectra = drawn(plain, given, 0, 10**6, exact=True)
+    if load_m is not None:
+        plain = plain.with_parts(("load",))
+    spectra = drawn(plain, loaded(plain, given, load_m or (0.0, 0.0)), 0, 10**6, exact=True)
     known = CommissionedBogie(plain, NOISE, np.ones(3), 1.0, True)
     found = fit_parts(known, trip(spectra, 70.0))
     assert found.converged
     np.testing.assert_allclose(found.values, given[0].numpy(), rtol=2e-3)
+    # where it is not one of the vehicle's numbers, a load that shifts is taken for wear
+    if load_m is not None:
+        centred = replace(plain, parts=VEHICLE.parts)
+        taken = fit_parts(replace(known, generator=centred), trip(spectra, 70.0))
+        assert abs(taken.values[COMPONENTS.index("k_s_left")] - 1) > 0.02
 
 
 # the less bins leak, the more of it dampers' own forces can be taken for
@@ -460,12 +477,16 @@ def test_errors_of_the_vehicle_are_learnt_where_they_are(commissioned):
     assert commissioned.errors.max() < 0.1 * errors["body_left"]
 
 
-def test_healthy_trips_are_left_out_as_by_a_fit_to_the_others():
-    trips = [trip(drawn(VEHICLE, row({}, m), i), 70.0) for i, m in enumerate((*MASSES, 1.0))]
-    end = healthy_end(BogieMisfit(VEHICLE, [NOISE] * 4, trips, are_healthy=True)).finished(math.inf)
+@pytest.mark.parametrize("parts", [(), ("load",)])
+def test_healthy_trips_are_left_out_as_by_a_fit_to_the_others(parts):
+    vehicle, trips = VEHICLE.with_parts(parts), []
+    for i, mass in enumerate((*MASSES, 1.0)):
+        rows = loaded(vehicle, row({}, mass), (0.2 * i - 0.3, 0.0) if parts else (0.0, 0.0))
+        trips.append(trip(drawn(vehicle, rows, i), 70.0))
+    end = healthy_end(BogieMisfit(vehicle, [NOISE] * 4, trips, are_healthy=True)).finished(math.inf)
     logs, covariances = read_as_later(end.fit, end.x)
     for i, one in enumerate(trips):
-        others = commission_bogie(VEHICLE, [other for other in trips if other is not one])
+        others = commission_bogie(vehicle, [other for other in trips if other is not one])
         later = fit_parts(replace(others, scatter=None), one, start=ratios({}))
         deviations = np.sqrt(np.diag(covariances[i]))
         np.testing.assert_allclose(later.deviations, deviations, rtol=0.15)

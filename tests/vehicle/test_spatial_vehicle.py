@@ -45,6 +45,8 @@ def test_missing_columns_are_healthy_and_nominal():
             "yaw_height",
             "equipment_ahead",
             "equipment_aside",
+            "load_ahead",
+            "load_aside",
         )
         assert value == (0.0 if absent else MEDIANS.get(name, 1.0)), name
     sixth = torch.cat([HEALTHY, torch.tensor([[0.8]], dtype=torch.float64)], dim=1)

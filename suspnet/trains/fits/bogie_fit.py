@@ -64,7 +64,15 @@ SENSITIVITY = {"k_p": 0.01, "c_p": 0.05, "k_s": 0.01, "c_s": 0.01}
 """Error of a part, as a fraction of the logarithm of the wear found, with an incomplete vehicle.
 Found on tests/rich_train.py with flexible modes, and with cross-axis and noise, seeds 0 and 1: own
 wear k_p .8 to 1.4, c_p 3.6 to 7.5, k_s .5 to 1, c_s .5 to 1.3 %, that of others half of it."""
-FURTHER_PARTS = ("track", "cross_axis", "second_bending", "equipment", "body_torsion", "floors")
+FURTHER_PARTS = (
+    "track",
+    "cross_axis",
+    "second_bending",
+    "equipment",
+    "body_torsion",
+    "floors",
+    "load",
+)
 """What a vehicle may be given that does not explain its healthy trips: a track that gives way,
 sensors that read a share of the lateral motion, flexible modes of its body and what hangs on it."""
 
@@ -145,7 +153,7 @@ def fit_parts(
     if not end.explains(EXPLAINED):
         end = min(end, best_end(fit, EXPLAINED), key=lambda end: end.misfit)
     fit, x, misfit = end.fit, end.x, end.misfit
-    own = slice(fit.n_shared, None)
+    own = slice(fit.n_shared, fit.n_shared + ties.shape[1])
     covariance = fit.covariance(x, max(1.0, misfit) ** 2)[own, own]
     if bogie.scatter is not None:
         tied = np.linalg.pinv(ties)
@@ -232,7 +240,7 @@ def commission_bogie(
     return CommissionedBogie(
         replace(fit.generator, distribution=posterior),
         torch.stack([noise.densities for noise in fit.noise_at(x)]).mean(dim=0),
-        np.exp(x[shared:]),
+        np.exp(x[shared:].reshape(len(trips), -1)[:, 0]),
         end.bare_misfit,
         end.converged,
         _law(healthy_c, x[n:shared], covariance[n:shared, n:shared]),

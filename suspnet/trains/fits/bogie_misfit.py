@@ -22,7 +22,7 @@ from suspnet.trains.spectra.model_errors import SPACING_HZ, Explained, model_err
 from suspnet.trains.spectra.noise_subspace import DamperForces, Leakage, TripNoise, trip_noise
 from suspnet.trains.spectra.subspace import SubspaceMisfit
 from suspnet.vehicle import SpatialVehicle
-from suspnet.vehicle.quantities import MASS_DEVIATION, MASS_MEAN, LogNormal
+from suspnet.vehicle.quantities import LOAD_DEVIATIONS, MASS_DEVIATION, MASS_MEAN, LogNormal
 
 WEAR = 0.5
 """Standard deviation of the logarithm of a part's ratio before the trip: wide, as wear is."""
@@ -45,8 +45,9 @@ class BogieMisfit:
     """The sum of squares of some trips: coordinates of z, then each trip's own numbers.
 
     `noises` are those of the trips' sensors as `SubspaceMisfit` takes them. Healthy trips have the
-    logarithm of their mass as their own number, others those that `ties` (13, n_own) makes the
-    logarithms of all parts and the mass from, the mass last. `mass` is what the masses of the trips
+    logarithm of their mass as their own number, others those that `ties` (13, n_tied) makes the
+    logarithms of all parts and the mass from, the mass last. Where the vehicle has the part load,
+    log(1 + where its centre is [m]) follows, of each direction of ``LOAD_DEVIATIONS``. `mass` is what the masses of the trips
     are expected about, the median of their prior. `warmer` [K] is each trip's temperature above
     their mean, empty where they do not differ; else the slopes of damping over temperature
     (`suspnet.estimation.temperature`) follow z, in deviations from their prior. `errors` are those
@@ -135,9 +136,20 @@ class BogieMisfit:
         return self.ties[:, -1:] if self.are_healthy else self.ties
 
     @property
+    def _loads(self) -> list[int]:
+        """Columns of where a trip's load is."""
+        has_load = "load" in self.generator.parts
+        return [self.generator.columns.index(name) for name in LOAD_DEVIATIONS if has_load]
+
+    @property
+    def n_load(self) -> int:
+        """Number of coordinates of each trip that say what it carries: its mass and where."""
+        return 1 + len(self._loads)
+
+    @property
     def n_own(self) -> int:
         """Number of coordinates of each trip alone."""
-        return len(self._own_ties.T)
+        return len(self._own_ties.T) + len(self._loads)
 
     @cached_property
     def all_bins(self) -> Tensor:
@@ -147,10 +159,10 @@ class BogieMisfit:
     @cached_property
     def _own(self) -> tuple[FloatArray, FloatArray]:
         """Prior mean and standard deviation of each trip's own numbers, (n_own,) each."""
-        mean = np.zeros(self.n_own)
-        mean[-1] = math.log(self.mass)
-        deviation = np.full(self.n_own, WEAR)
-        deviation[-1] = MASS_DEVIATION
+        n_parts = self.n_own - self.n_load
+        mean, deviation = np.zeros(self.n_own), np.full(self.n_own, WEAR)
+        mean[n_parts] = math.log(self.mass)
+        deviation[n_parts:] = (MASS_DEVIATION, *LOAD_DEVIATIONS.values())[: self.n_load]
         return mean, deviation
 
     def start(self, ratios: FloatArray | None = None) -> FloatArray:
@@ -159,7 +171,7 @@ class BogieMisfit:
             own = np.tile(self._own[0], len(self.trips))
         else:
             nearest = np.linalg.lstsq(self._own_ties, np.log(ratios), rcond=None)[0]
-            own = nearest.astype(np.float64)
+            own = np.pad(nearest.astype(np.float64), (0, self.n_load - 1))
         return np.concatenate([np.zeros(self.n_shared), own])
 
     def with_parts(self, parts: Sequence[str], x: FloatArray) -> tuple[BogieMisfit, FloatArray]:
@@ -169,7 +181,9 @@ class BogieMisfit:
         names = [fit.numbers.names.index(name) for name in self.numbers.names]
         logs[names] = self.numbers.factor @ x[: self.n_numbers]
         standard = np.linalg.lstsq(fit.numbers.factor, logs, rcond=None)[0]
-        return fit, np.concatenate([standard, x[self.n_numbers :]])
+        own = x[self.n_shared :].reshape(len(self.trips), -1)
+        own = np.pad(own, ((0, 0), (0, fit.n_own - self.n_own)))
+        return fit, np.concatenate([standard, x[self.n_numbers : self.n_shared], own.ravel()])
 
     def of_trips(self, numbers: Sequence[int]) -> BogieMisfit:
         """Return the sum of squares of some of the trips."""
@@ -361,10 +375,12 @@ class BogieMisfit:
     def _rows(self, x: FloatArray, i: int) -> Tensor:
         """Return all columns of ratios of trip i, (1, n_columns)."""
         x = np.clip(x, -FURTHEST, FURTHEST)  # a step from afar may overflow
-        own = self._own_ties @ x[self.n_shared :].reshape(len(self.trips), -1)[i]
+        own = x[self.n_shared :].reshape(len(self.trips), -1)[i]
+        tied, loads = np.split(own, [len(self._own_ties.T)])
         numbers = self.numbers.ratios(x[None, : self.n_numbers])
-        parts = torch.as_tensor(np.exp(own))[None]
+        parts = torch.as_tensor(np.exp(self._own_ties @ tied))[None]
         rows = self.generator.with_uncertain(parts, torch.as_tensor(numbers))
+        rows[:, self._loads] = torch.as_tensor(np.expm1(loads))
         if not self.warmer:
             return rows
         slopes = USUAL_SLOPE + SLOPE_DEVIATION * x[self.n_numbers : self.n_shared]
@@ -391,7 +407,9 @@ class BogieMisfit:
         )
         directions[:n, columns] = torch.tensor(self.numbers.factor.T.copy())
         directions[n:shared] = SLOPE_DEVIATION * torch.as_tensor(self._warming[: self.n_slopes])
-        directions[shared:, : len(COMPONENTS)] = torch.as_tensor(self._own_ties.T)
+        n_tied = shared + len(self._own_ties.T)
+        directions[shared:n_tied, : len(COMPONENTS)] = torch.as_tensor(self._own_ties.T)
+        directions[range(n_tied, len(directions)), self._loads] = 1.0
         return directions
 
     def _directions_of(self, i: int) -> Tensor:

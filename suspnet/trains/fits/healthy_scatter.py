@@ -1,7 +1,7 @@
 """How the parts of healthy trips scatter if they are read as later ones.
 
 At the minimum of the healthy trips' sum of squares, each trip is left out of it and read: with J_j
-and r_j the derivatives and residuals of trip j, its own mass eliminated from both, others give ::
+and r_j the derivatives and residuals of trip j, its own load eliminated from both, others give ::
 
     z ~ N(z_0 - L^-1 g, L^-1),    L = 1 + sum_j J_j^T J_j,    g = z_0 + sum_j J_j^T r_j,    j != i
 
@@ -60,7 +60,7 @@ def read_as_later(
     """
     n = fit.n_shared
     steps = [_step(fit, x, i, ties) for i in range(len(fit.trips))]
-    healthy = [_without_mass(information, score, n) for _, information, score in steps]
+    healthy = [_without_load(*step[1:], n, fit.n_load) for step in steps]
     information_of_all = np.eye(n) + sum(of_trip for of_trip, _ in healthy)
     score_of_all = x[:n] + sum(of_trip for _, of_trip in healthy)
     logs, covariances = [], []
@@ -68,8 +68,9 @@ def read_as_later(
         information[:n, :n] += information_of_all - mine
         score[:n] += score_of_all - my_score
         covariance = np.linalg.inv(information)
-        logs.append((at - covariance @ score)[n:])
-        covariances.append(covariance[n:, n:])
+        read = slice(n, n + ties.shape[1])
+        logs.append((at - covariance @ score)[read])
+        covariances.append(covariance[read, read])
     return np.array(logs), np.array(covariances)
 
 
@@ -81,9 +82,10 @@ def expected_noise(fit: BogieMisfit, x: FloatArray, n_healthy: int) -> FloatArra
     """
     n = fit.n_shared
     _, information, score = _step(fit.as_expected(x), x, 0, SEPARATE)
-    of_healthy, _ = _without_mass(information, score, n)
+    of_healthy, _ = _without_load(information, score, n, fit.n_load)
     information[:n, :n] += np.eye(n) + n_healthy * of_healthy
-    return np.asarray(np.linalg.inv(information)[n:, n:])
+    read = slice(n, n + SEPARATE.shape[1])
+    return np.asarray(np.linalg.inv(information)[read, read])
 
 
 def _step(
@@ -92,9 +94,9 @@ def _step(
     """Return trip i's coordinates as a later one, and its information and score there."""
     n = fit.n_shared
     of_trip = replace(fit, are_healthy=False, ties=ties).of_trips([i])
-    # the vehicle and the mass as they are, all parts healthy
-    own = np.zeros(of_trip.n_own)
-    own[-1] = x[n + i]
+    # the vehicle and its load as they are, all parts healthy
+    own = x[n:].reshape(len(fit.trips), -1)[i]
+    own = np.pad(own, (of_trip.n_own - of_trip.n_load, 0))
     at = np.concatenate([x[:n], own])
     n_prior = len(of_trip.prior_deviations)
     jacobian, residuals = of_trip.exact.jacobian(at), of_trip.exact(at)
@@ -106,10 +108,10 @@ def _step(
     return at, information, score
 
 
-def _without_mass(
-    information: FloatArray, score: FloatArray, n: int
+def _without_load(
+    information: FloatArray, score: FloatArray, n: int, n_load: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what a trip with healthy parts tells of the n shared numbers, whatever its mass."""
-    with_mass, mass = information[:n, -1], information[-1, -1]
-    reduced = information[:n, :n] - np.outer(with_mass, with_mass) / mass
-    return reduced, score[:n] - with_mass * score[-1] / mass
+    """Return what a trip with healthy parts tells of the n shared numbers, whatever its load."""
+    own = slice(len(score) - n_load, None)
+    share = np.linalg.solve(information[own, own], information[own, :n]).T
+    return information[:n, :n] - share @ information[own, :n], score[:n] - share @ score[own]
