@@ -79,9 +79,7 @@ def written(name, seed, options, folder):
     def write(some, minutes, own_seed):
         fleet = Fleet(n_trips=len(ratios[some]), minutes=minutes, rate_hz=RATE_HZ)
         at = {"speeds_m_per_s": speeds[some], "rate_hz": RATE_HZ}
-        return write_train_trips(
-            folder / str(own_seed), train, ratios[some], fleet, own_seed, **at
-        )
+        return write_train_trips(folder / str(own_seed), train, ratios[some], fleet, own_seed, **at)
 
     begun = time.perf_counter()
     if options.later_minutes is None:
@@ -109,7 +107,8 @@ def read(name, seed, options, ratios, celsius, trips):
     later = range(options.healthy, len(trips))
     rows = []
     for i in later:
-        found = fit_parts(commissioned, trips[i]).compared(commissioned.law, celsius[i])
+        speeds = trips[i].damper_speeds(VEHICLE.sensors)
+        found = fit_parts(commissioned, trips[i]).compared(commissioned.law, celsius[i], speeds)
         is_flagged = not (commissioned.converged and found.converged)  # as by estimate_parts
         row = head | {"trip": i} | row_of(found, ratios[i])
         rows.append(row | {"flagged": int(is_flagged), "is_done": int(found.converged)})

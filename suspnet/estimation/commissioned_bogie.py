@@ -7,8 +7,8 @@ import numpy as np
 from scipy.stats import norm, t
 from torch import Tensor
 
+from suspnet.estimation.damping_law import DampingLaw
 from suspnet.estimation.estimate import HealthyValues
-from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.ground.parameters import BOGIE_PARTS, COMPONENTS, PARAMETERS, kind_of
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import ShortRepr
@@ -66,7 +66,7 @@ class CommissionedBogie(ShortRepr):
     masses: FloatArray
     misfit: float
     converged: bool
-    law: DampingByTemperature | None = None
+    law: DampingLaw | None = None
     errors: Tensor | None = None
     scatter: HealthyScatter | None = None
 

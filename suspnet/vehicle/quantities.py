@@ -113,6 +113,7 @@ ADDITIONS: dict[str, tuple[str, ...]] = {
     "floors": (),
     "cross_axis": (),
     "load": (),
+    "nonlinear_dampers": (),
 }
 """Parts that only a vehicle of twelve separate parts may have, each with its coordinates."""
 LATERAL = ("frame_sway", "frame_yaw", "creep")

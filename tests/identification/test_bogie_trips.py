@@ -18,9 +18,9 @@ from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.speeds import NoEstimateError
 from suspnet.curves.welch import Welch
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
+from suspnet.estimation.damping_law import DampingLaw
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.flags import BOGIE_NOT_CONVERGED
-from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.trains.fits.bogie_fit import PartsEstimate, commission_bogie, fit_parts
@@ -65,6 +65,7 @@ PARTS = (
 )
 VEHICLE = SpatialVehicle(AM96, parts=PARTS, distribution="prior")
 RATE_HZ = 100.0
+AS_USUAL = SimpleNamespace(lost=(), damper_speeds=lambda _: np.full(2, np.nan))
 
 
 def recordings(folder, ratios, minutes, effects=(*FAMILY, "unequal"), sides="pair"):
@@ -148,7 +149,8 @@ def test_search_that_did_not_end_is_told(short, monkeypatch, caplog, converged):
 def test_parts_read_with_a_doubtful_bogie_are_flagged(
     short, monkeypatch, converged, misfit, reason
 ):
-    trip = SimpleNamespace(lost=("frame_axle1_left", "axle_box_axle2_left"))
+    lost = "frame_axle1_left", "axle_box_axle2_left"
+    trip = SimpleNamespace(lost=lost, damper_speeds=AS_USUAL.damper_speeds)
     monkeypatch.setattr(bogie_trips, "bogie_trip", lambda *_: trip)
     parts = PartsEstimate(np.ones(13), 1e-4 * np.eye(13), 1.0, True, 0.9)
     monkeypatch.setattr(bogie_trips, "fit_parts", lambda *_: parts)
@@ -166,7 +168,7 @@ def test_parts_read_with_a_doubtful_bogie_are_flagged(
 def test_a_trip_unlike_the_healthy_ones_is_flagged_and_its_verdict_stands(
     short, monkeypatch, misfit, converged
 ):
-    monkeypatch.setattr(bogie_trips, "bogie_trip", lambda *_: SimpleNamespace(lost=()))
+    monkeypatch.setattr(bogie_trips, "bogie_trip", lambda *_: AS_USUAL)
     values = np.ones(13)
     values[COMPONENTS.index("c_s_left")] = 0.5
     parts = PartsEstimate(values, 1e-4 * np.eye(13), misfit, converged, 0.9)
@@ -179,10 +181,10 @@ def test_a_trip_unlike_the_healthy_ones_is_flagged_and_its_verdict_stands(
 
 
 def test_damping_is_that_at_the_temperature_of_the_healthy_trips(short, monkeypatch):
-    monkeypatch.setattr(bogie_trips, "bogie_trip", lambda *_: SimpleNamespace(lost=()))
+    monkeypatch.setattr(bogie_trips, "bogie_trip", lambda *_: AS_USUAL)
     parts = PartsEstimate(np.ones(13), 1e-4 * np.eye(13), 1.0, True, 0.9)
     monkeypatch.setattr(bogie_trips, "fit_parts", lambda *_: parts)
-    law = DampingByTemperature(10.0, (-0.01, -0.02))
+    law = DampingLaw(10.0, slopes=(-0.01, -0.02, 0.0, 0.0))
     bogie = CommissionedBogie(VEHICLE, torch.ones(6), np.ones(3), 1.0, True, law)
     warmer = replace(short, manifest=replace(short.manifest, temperature_c=20.0))
     estimate = estimate_parts(bogie, warmer, TripSettings(check_channels=False))
@@ -193,14 +195,16 @@ def test_damping_is_that_at_the_temperature_of_the_healthy_trips(short, monkeypa
 
 
 def test_no_damper_is_named_for_the_weather(short, monkeypatch):
-    law, warm_c = DampingByTemperature(10.0, (-0.01, -0.02), (0.001, 0.002)), 30.0
+    deviations = 0.001, 0.002, 0.0, 0.0
+    covariance = tuple(map(tuple, np.diag(np.square(deviations))))
+    law, warm_c = DampingLaw(10.0, slopes=(-0.01, -0.02, 0.0, 0.0), covariance=covariance), 30.0
     values = np.ones(13)
-    for name, slope in zip(("c_p", "c_s"), law.slopes, strict=True):
+    for name, slope in zip(("c_p", "c_s"), law.slopes, strict=False):
         values[[one.startswith(name) for one in COMPONENTS]] = np.exp(20 * slope)
     # one of four dampers does not follow the others
     values[COMPONENTS.index("c_p_axle2_right")] = 1.0
     parts = PartsEstimate(values, 1e-4 * np.eye(13), 1.0, True, 0.9)
-    monkeypatch.setattr(bogie_trips, "bogie_trip", lambda *_: SimpleNamespace(lost=()))
+    monkeypatch.setattr(bogie_trips, "bogie_trip", lambda *_: AS_USUAL)
     monkeypatch.setattr(bogie_trips, "fit_parts", lambda *_: parts)
     bogie = CommissionedBogie(VEHICLE, torch.ones(6), np.ones(3), 1.0, True, law)
     warm = replace(short, manifest=replace(short.manifest, temperature_c=warm_c))
@@ -210,7 +214,7 @@ def test_no_damper_is_named_for_the_weather(short, monkeypatch):
     # intervals hold the error of the slopes
     for j, name in enumerate(COMPONENTS):
         slope, spread = dict(
-            zip(("c_p", "c_s"), zip(law.slopes, law.deviations, strict=True), strict=True)
+            zip(("c_p", "c_s"), zip(law.slopes, deviations, strict=True), strict=False)
         ).get(name[:3], (0.0, 0.0))
         expected = values[j] * np.exp(-20 * slope)
         assert estimate.values[0, j] == pytest.approx(expected)

@@ -15,7 +15,7 @@ from commissioned_example import MASSES, UNCERTAIN, commissioned_example, trip
 from vehicles import AM96
 
 from suspnet.estimation.commissioned_bogie import HealthyScatter
-from suspnet.estimation.temperature import NOTE, DampingByTemperature
+from suspnet.estimation.damping_law import NOTE, DampingLaw
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.runs.language import speaking
 from suspnet.trains.identification import commissioning_summary as words
@@ -105,15 +105,18 @@ def test_json_holds_trips_masses_and_misfits(commissioned, written):
 
 def test_notes_hold_the_law_of_damping_over_temperature(commissioned):
     found, outcome = commissioned
-    law = DampingByTemperature(12.0, (-0.004, -0.0051), (0.002, 0.0003))
+    deviations = 0.002, 0.0003, 0.05, 0.1
+    covariance = tuple(map(tuple, np.diag(np.square(deviations)).tolist()))
+    law = DampingLaw(12.0, (0.1, 0.2), (-0.004, -0.0051, -0.3, 0.1), covariance)
     warm = replace(outcome, bogie=replace(outcome.bogie, law=law))
     notes = json.loads(json.dumps(training_notes(found, warm)))
-    assert DampingByTemperature.noted({"commissioned": notes}) == law
+    assert DampingLaw.noted({"commissioned": notes}) == law
     assert NOTE not in training_notes(found, outcome)
     text = " ".join(words.reference(warm))
     assert text.endswith(
         "Damping is compared at 12 °C, their mean temperature; per kelvin c_p 0.40 ± 0.2 % and "
-        "c_s 0.51 ± 0.03 % are lost."
+        "c_s 0.51 ± 0.03 % are lost. Damping is compared at the speed of the dampers on the "
+        "healthy trips; where they move 10 % faster, c_p 3.00 ± 0.5 % and c_s -1.00 ± 1 % are lost."
     )
 
 

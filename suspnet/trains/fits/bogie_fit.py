@@ -34,14 +34,8 @@ import torch
 from scipy.stats import norm
 
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
+from suspnet.estimation.damping_law import SLOPE_DEVIATIONS, USUAL_SLOPES, DampingLaw
 from suspnet.estimation.estimate import Estimate, Flags
-from suspnet.estimation.temperature import (
-    DAMPINGS,
-    SLOPE_DEVIATION,
-    USUAL_SLOPE,
-    DampingByTemperature,
-    kelvins_warmer,
-)
 from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground.parameters import COMPONENTS, PARAMETERS, kind_of
 from suspnet.ground.types import FloatArray
@@ -72,6 +66,7 @@ FURTHER_PARTS = (
     "body_torsion",
     "floors",
     "load",
+    "nonlinear_dampers",
 )
 """What a vehicle may be given that does not explain its healthy trips: a track that gives way,
 sensors that read a share of the lateral motion, flexible modes of its body and what hangs on it."""
@@ -97,20 +92,17 @@ class PartsEstimate(ShortRepr):
         return np.sqrt(np.diag(self.covariance))
 
     def compared(
-        self, law: DampingByTemperature | None, temperature_c: float | None
+        self, law: DampingLaw | None, temperature_c: float | None, speeds_m_per_s: FloatArray
     ) -> PartsEstimate:
-        """Return the estimate with damping as it would be at the healthy trips' temperature.
+        """Return the estimate with damping as under the conditions of the healthy trips.
 
-        The errors of the slopes are the same for all dampers of a kind. Without a law or the trip's
-        temperature nothing changes.
+        `speeds_m_per_s` are as of `BogieTrip.damper_speeds`. Without a law nothing changes.
         """
-        if law is None or temperature_c is None:
+        if law is None:
             return self
-        warmer = temperature_c - law.healthy_c
-        is_damper = np.array([[kind_of(name) == kind for kind in DAMPINGS] for name in self.names])
-        shared = is_damper * warmer * np.array(law.deviations)
-        values = self.values * np.exp(-warmer * is_damper @ np.array(law.slopes))
-        return replace(self, values=values, covariance=self.covariance + shared @ shared.T)
+        shifts, covariance = law.shifts(self.names, temperature_c, speeds_m_per_s)
+        values = self.values * np.exp(-shifts)
+        return replace(self, values=values, covariance=self.covariance + covariance)
 
     def as_estimate(self) -> Estimate:
         """Return the estimate as one row, with intervals of the level."""
@@ -185,18 +177,21 @@ def wear_errors(bogie: CommissionedBogie, logs: FloatArray) -> FloatArray:
 
 
 def healthy_misfit(
-    generator: SpatialVehicle, trips: Sequence[BogieTrip], warmer: Sequence[float] = ()
+    generator: SpatialVehicle,
+    trips: Sequence[BogieTrip],
+    conditions: FloatArray | None = None,
 ) -> BogieMisfit:
     """Return the sum of squares of healthy trips, the prior the vehicle's distribution.
 
-    `warmer` is as of `BogieMisfit`.
+    `conditions` are as of `BogieMisfit`.
     """
     assert generator.distribution is not None
     # the free spectra hold the densities of cross level and alignment
     prior = generator.distribution.without(("cross_level", "alignment"))
     noise = torch.stack([smallest_noise(trip.spectra) for trip in trips]).amin(dim=0)
     vehicle = replace(generator, distribution=prior)
-    return BogieMisfit(vehicle, [noise] * len(trips), trips, are_healthy=True, warmer=warmer)
+    noises = [noise] * len(trips)
+    return BogieMisfit(vehicle, noises, trips, are_healthy=True, conditions=conditions)
 
 
 def commission_bogie(
@@ -231,8 +226,12 @@ def commission_bogie(
         raise ValueError(f"{len(trips)} healthy trips are given, at least {LEAST_TRIPS} are needed")
     if lost := sorted({name for trip in trips for name in trip.lost}):
         raise ValueError(f"healthy trips need all sensors, one has none at {', '.join(lost)}")
-    healthy_c, warmer = kelvins_warmer(temperatures_c or [None] * len(trips))
-    fit = healthy_misfit(generator, trips, warmer if any(warmer) else ())
+    assert generator.sensors is not None
+    celsius = temperatures_c or [None] * len(trips)
+    speeds = [trip.damper_speeds(generator.sensors) for trip in trips]
+    law = DampingLaw.of_trips(celsius, speeds)
+    conditions = [law.conditions(*of) for of in zip(celsius, speeds, strict=True)]
+    fit = healthy_misfit(generator, trips, np.array(conditions))
     end = healthy_end(fit, further_parts).finished(NEARLY_EXPLAINED * EXPLAINED)
     fit, x, misfit, n, shared = end.fit, end.x, end.misfit, end.fit.n_numbers, end.fit.n_shared
     covariance = fit.covariance(x, max(1.0, misfit) ** 2)
@@ -243,18 +242,25 @@ def commission_bogie(
         np.exp(x[shared:].reshape(len(trips), -1)[:, 0]),
         end.bare_misfit,
         end.converged,
-        _law(healthy_c, x[n:shared], covariance[n:shared, n:shared]),
+        _shown(law, x[n:shared], covariance[n:shared, n:shared]),
         fit.errors,
         healthy_scatter(fit, x),
     )
 
 
-def _law(
-    healthy_c: float | None, slopes: FloatArray, covariance: FloatArray
-) -> DampingByTemperature | None:
-    """Return the law of slopes in deviations from their prior; of none: the prior's."""
-    if healthy_c is None or not len(slopes):
-        return None if healthy_c is None else DampingByTemperature(healthy_c)
-    deviations = SLOPE_DEVIATION * np.sqrt(np.diag(covariance))
-    means = USUAL_SLOPE + SLOPE_DEVIATION * slopes
-    return DampingByTemperature(healthy_c, tuple(means.tolist()), tuple(deviations.tolist()))
+def _shown(law: DampingLaw, slopes: FloatArray, covariance: FloatArray) -> DampingLaw | None:
+    """Return the law with slopes in deviations from their prior, those that are fitted alone."""
+    n = len(slopes)
+    is_nonlinear = n > len(law.healthy_m_per_s)
+    if law.healthy_c is None and not is_nonlinear:
+        return None
+    scale = np.array(SLOPE_DEVIATIONS[:n])
+    fitted = USUAL_SLOPES[:n] + scale * slopes
+    wide = np.zeros((len(USUAL_SLOPES),) * 2)
+    wide[:n, :n] = scale[:, None] * covariance * scale
+    return replace(
+        law,
+        healthy_m_per_s=law.healthy_m_per_s if is_nonlinear else (None, None),
+        slopes=tuple(np.pad(fitted, (0, len(wide) - n)).tolist()),
+        covariance=tuple(map(tuple, wide.tolist())),
+    )

@@ -14,8 +14,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.estimation.temperature import DAMPINGS, SLOPE_DEVIATION, USUAL_SLOPE
-from suspnet.ground.parameters import COMPONENTS, PARAMETERS, Direction, kind_of
+from suspnet.estimation.damping_law import (
+    DAMPINGS,
+    N_SLOPES,
+    SLOPE_DEVIATIONS,
+    USUAL_SLOPES,
+    follows,
+)
+from suspnet.ground.parameters import COMPONENTS, PARAMETERS, Direction
 from suspnet.ground.types import FloatArray
 from suspnet.trains.spectra.bogie_trip import BogieTrip, smallest_noise
 from suspnet.trains.spectra.model_errors import SPACING_HZ, Explained, model_errors
@@ -47,11 +53,12 @@ class BogieMisfit:
     `noises` are those of the trips' sensors as `SubspaceMisfit` takes them. Healthy trips have the
     logarithm of their mass as their own number, others those that `ties` (13, n_tied) makes the
     logarithms of all parts and the mass from, the mass last. Where the vehicle has the part load,
-    log(1 + where its centre is [m]) follows, of each direction of ``LOAD_DEVIATIONS``. `mass` is what the masses of the trips
-    are expected about, the median of their prior. `warmer` [K] is each trip's temperature above
-    their mean, empty where they do not differ; else the slopes of damping over temperature
-    (`suspnet.estimation.temperature`) follow z, in deviations from their prior. `errors` are those
-    of the vehicle's responses (n_freq, n_sensors) [-], see `suspnet.trains.spectra.model_errors`.
+    log(1 + where its centre is [m]) follows, of each direction of ``LOAD_DEVIATIONS``. `mass` is
+    what the masses of the trips are expected about, the median of their prior. `conditions`
+    (n_trips, 4) are those of the trips that their damping depends on
+    (`suspnet.estimation.damping_law`), None if it is that of the vehicle; else the slopes follow z,
+    in deviations from their prior. `errors` are those of the vehicle's responses (n_freq,
+    n_sensors) [-], see `suspnet.trains.spectra.model_errors`.
     """
 
     generator: SpatialVehicle
@@ -60,7 +67,7 @@ class BogieMisfit:
     are_healthy: bool
     mass: float = math.exp(MASS_MEAN)
     ties: FloatArray = field(default_factory=SEPARATE.copy)
-    warmer: Sequence[float] = ()
+    conditions: FloatArray | None = None
     errors: Tensor | None = None
 
     def __post_init__(self) -> None:
@@ -108,8 +115,10 @@ class BogieMisfit:
 
     @property
     def n_slopes(self) -> int:
-        """Number of slopes of damping over temperature that the trips tell."""
-        return len(DAMPINGS) if self.warmer else 0
+        """Number of slopes of the damping law that the trips tell."""
+        if self.conditions is None:
+            return 0
+        return N_SLOPES if "nonlinear_dampers" in self.generator.parts else len(DAMPINGS)
 
     @property
     def n_shared(self) -> int:
@@ -117,19 +126,14 @@ class BogieMisfit:
         return self.n_numbers + self.n_slopes
 
     @cached_property
-    def _warming(self) -> FloatArray:
-        """Whether a damper's column follows the temperature by each slope, (n_slopes, n_columns).
+    def _law_directions(self) -> FloatArray:
+        """Changes of the logarithms of the columns with each slope, (n_slopes, n_columns).
 
-        Those of the other bogie warm as those of the measured one do.
+        They are those of a trip whose conditions are 1.
         """
-        columns = self.generator.columns
-        return np.array(
-            [
-                [kind_of(name) == damping or name == f"other_{damping}" for name in columns]
-                for damping in DAMPINGS
-            ],
-            float,
-        )
+        n, sizes = self.n_slopes, np.array(SLOPE_DEVIATIONS)[:, None]
+        directions: FloatArray = (sizes * follows(self.generator.columns))[:n]
+        return directions
 
     @property
     def _own_ties(self) -> FloatArray:
@@ -183,13 +187,15 @@ class BogieMisfit:
         standard = np.linalg.lstsq(fit.numbers.factor, logs, rcond=None)[0]
         own = x[self.n_shared :].reshape(len(self.trips), -1)
         own = np.pad(own, ((0, 0), (0, fit.n_own - self.n_own)))
-        return fit, np.concatenate([standard, x[self.n_numbers : self.n_shared], own.ravel()])
+        slopes = np.pad(x[self.n_numbers : self.n_shared], (0, fit.n_slopes - self.n_slopes))
+        return fit, np.concatenate([standard, slopes, own.ravel()])
 
     def of_trips(self, numbers: Sequence[int]) -> BogieMisfit:
         """Return the sum of squares of some of the trips."""
         noises = [self.noises[i] for i in numbers]
-        warmer = [self.warmer[i] for i in numbers] if self.warmer else ()
-        return replace(self, noises=noises, trips=[self.trips[i] for i in numbers], warmer=warmer)
+        conditions = None if self.conditions is None else self.conditions[list(numbers)]
+        trips = [self.trips[i] for i in numbers]
+        return replace(self, noises=noises, trips=trips, conditions=conditions)
 
     def at(self, spread: float, bins: Tensor) -> Residuals:
         """Return the residuals at chosen bins, where the model may err by that share of a signal.
@@ -381,10 +387,12 @@ class BogieMisfit:
         parts = torch.as_tensor(np.exp(self._own_ties @ tied))[None]
         rows = self.generator.with_uncertain(parts, torch.as_tensor(numbers))
         rows[:, self._loads] = torch.as_tensor(np.expm1(loads))
-        if not self.warmer:
+        if self.conditions is None:
             return rows
-        slopes = USUAL_SLOPE + SLOPE_DEVIATION * x[self.n_numbers : self.n_shared]
-        return rows * torch.as_tensor(np.exp(self.warmer[i] * slopes @ self._warming))
+        n = self.n_slopes
+        usual = np.divide(USUAL_SLOPES, SLOPE_DEVIATIONS)[:n]
+        slopes = self.conditions[i, :n] * (usual + x[self.n_numbers : self.n_shared])
+        return rows * torch.as_tensor(np.exp(slopes @ self._law_directions))
 
     def responses(self, x: FloatArray, i: int, bins: Tensor) -> Tensor:
         """Return the responses of trip i's sensors to the inputs, (p, m, n_freq)."""
@@ -399,25 +407,26 @@ class BogieMisfit:
     def _directions(self) -> Tensor:
         """Changes of the logarithms of the columns with each coordinate, (n, n_columns).
 
-        Those with a slope are of a trip 1 K warmer.
+        Those of slopes are of a trip whose conditions are 1.
         """
         n, shared, columns = self.n_numbers, self.n_shared, self.generator.uncertain_columns
         directions = torch.zeros(
             shared + self.n_own, len(self.generator.columns), dtype=torch.float64
         )
         directions[:n, columns] = torch.tensor(self.numbers.factor.T.copy())
-        directions[n:shared] = SLOPE_DEVIATION * torch.as_tensor(self._warming[: self.n_slopes])
+        directions[n:shared] = torch.as_tensor(self._law_directions)
         n_tied = shared + len(self._own_ties.T)
         directions[shared:n_tied, : len(COMPONENTS)] = torch.as_tensor(self._own_ties.T)
         directions[range(n_tied, len(directions)), self._loads] = 1.0
         return directions
 
     def _directions_of(self, i: int) -> Tensor:
-        """Return the directions on a trip, whose damping follows its own temperature."""
-        if not self.warmer:
+        """Return the directions on a trip, whose damping follows its own conditions."""
+        if self.conditions is None:
             return self._directions
         scale = torch.ones(len(self._directions), 1, dtype=torch.float64)
-        scale[self.n_numbers : self.n_shared] = self.warmer[i]
+        own = self.conditions[i, : self.n_slopes]
+        scale[self.n_numbers : self.n_shared, 0] = torch.as_tensor(own)
         return scale * self._directions
 
     def responses_along(self, x: FloatArray, i: int, bins: Tensor) -> tuple[Tensor, Tensor]:

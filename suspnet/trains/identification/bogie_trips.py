@@ -250,15 +250,17 @@ def estimate_parts(
 ) -> Estimate:
     """Return the ratio to healthy of each part on a trip, one row; `found` names the worn ones.
 
-    Where the sensors do not show each part, it is that of all parts of a kind. Damping is as at
-    the temperature of the healthy trips. The estimate is flagged if the trip is unlike the healthy
+    Where the sensors do not show each part, it is that of all parts of a kind. Damping is as under
+    the conditions of the healthy trips. The estimate is flagged if the trip is unlike the healthy
     ones. NoEstimateError is raised as by `bogie_trip`, TripError if two sensors look swapped.
     """
     trip = bogie_trip(recording, bogie.generator, settings, direction)
     if settings.check_channels:
         check_order(bogie.generator, trip)
     parts = fit_parts(bogie, trip, settings.level)
-    parts = parts.compared(bogie.law, recording.manifest.temperature_c)
+    assert bogie.generator.sensors is not None
+    speeds = trip.damper_speeds(bogie.generator.sensors)
+    parts = parts.compared(bogie.law, recording.manifest.temperature_c, speeds)
     estimate = parts.as_estimate()
     flags = estimate.flags
     if not bogie.converged:

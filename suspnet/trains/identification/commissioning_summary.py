@@ -269,7 +269,7 @@ def reference(outcome: Commissioned) -> list[str]:
     if any("±" in value for value in values):
         kind = "healthy-now-about"
     law = outcome.bogie.law
-    return [Finding(kind, values=together(values, ", ")), *([str(law)] if law else [])]
+    return [Finding(kind, values=together(values, ", ")), *(law.findings if law else [])]
 
 
 def untold(uncertain: Sequence[Number]) -> str:

@@ -73,7 +73,7 @@ def healthy_words(model: Model) -> str:
         ends = {"low": thousands(first), "high": kilometres(last)}
         showed = Finding("showed-between", trips=trips, **ends)
     law = model.law
-    at = Finding("damping-at", celsius=law.healthy_c) if law else ""
+    at = Finding("damping-at", celsius=law.healthy_c) if law and law.healthy_c is not None else ""
     return together((showed, at), ", ")
 
 

@@ -5,13 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from suspnet.curves.welch import Welch
-from suspnet.ground.parameters import FORWARD, Direction
+from suspnet.ground.parameters import FORWARD, SIDES, Direction
+from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import ShortRepr
 from suspnet.trains.spectra.subspace import SpectralMatrix
+
+LOWEST_HZ = 0.5
+"""Lowest bin whose speeds are counted: below it, they are noise of the sensors."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -41,6 +46,32 @@ class BogieTrip(ShortRepr):
         """Return the trip with its sensors in another order, given by their numbers."""
         return replace(self, spectra=self.spectra.of_sensors(order))
 
+    def damper_speeds(self, sensors: Sequence[str]) -> FloatArray:
+        """Return the rms speed at which primary and secondary dampers are stretched, (2,) [m/s].
+
+        It is the mean over pairs of sensors at both ends of a damper, one of each end on a side,
+        from ``LOWEST_HZ`` on; NaN where there is no pair. `sensors` are those of the vehicle.
+        """
+        own = [sensors[i] for i in self.kept(sensors)]
+        used = self.of(torch.arange(len(self.frequencies_hz)))
+        used = used[self.frequencies_hz[used] >= LOWEST_HZ]
+        omega = 2 * torch.pi * self.frequencies_hz[used]
+        width_hz = float(self.frequencies_hz[:2].diff())
+        speeds = []
+        for below, above in (("axle_box", "frame"), ("frame", "body")):
+            squares = []
+            for side in (*SIDES, "middle"):
+                ends = [
+                    next((i for i, place in enumerate(own) if is_at(place, end, side)), None)
+                    for end in (below, above)
+                ]
+                if None not in ends:
+                    values = self.spectra.values[used][:, ends][:, :, ends]
+                    both = values.diagonal(dim1=1, dim2=2).sum(dim=1) - 2 * values[:, 0, 1]
+                    squares.append(float((both.real / omega**2).sum()) * width_hz)
+            speeds.append(np.sqrt(np.mean(squares)) if squares else np.nan)
+        return np.array(speeds)
+
     def kept(self, sensors: Sequence[str]) -> list[int]:
         """Return the numbers of those of a vehicle's sensors that the trip has.
 
@@ -48,6 +79,11 @@ class BogieTrip(ShortRepr):
         not that one.
         """
         return [i for i, name in enumerate(sensors) if name not in self.lost]
+
+
+def is_at(place: str, kind: str, side: str) -> bool:
+    """Return whether a place is of a kind and on a side."""
+    return place.startswith(kind) and place.endswith(f"_{side}")
 
 
 def smallest_noise(spectra: SpectralMatrix) -> Tensor:
