@@ -394,11 +394,13 @@ def _bogie_json(bogie: CommissionedBogie) -> dict[str, Any]:
         "law": law,
         "errors": None if bogie.errors is None else bogie.errors.numpy(),
         "scatter": bogie.scatter and asdict(bogie.scatter),
+        "loads_m": bogie.loads_m,
     }
 
 
 def _bogie(content: dict[str, Any], device: str) -> CommissionedBogie:
     law, errors, scatter = content["law"], content["errors"], content["scatter"]
+    loads_m = content["loads_m"]
     generator = _with_tuples(content["generator"])
     generator |= {"vehicle": Vehicle(**generator["vehicle"]), "device": device}
     return CommissionedBogie(
@@ -410,6 +412,7 @@ def _bogie(content: dict[str, Any], device: str) -> CommissionedBogie:
         None if law is None else DampingLaw(**law),
         None if errors is None else torch.tensor(errors, dtype=torch.float64),
         None if scatter is None else _scatter(scatter),
+        None if loads_m is None else np.array(loads_m, dtype=np.float64),
     )
 
 

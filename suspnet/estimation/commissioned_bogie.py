@@ -56,9 +56,10 @@ class CommissionedBogie(ShortRepr):
     `generator` has the posterior of its numbers as its distribution, `noise` (n_sensors,)
     [(m/s^2)^2/Hz] is that of its sensors, `misfit` the rms of the residuals over that of the noise,
     `masses` [-] the car-body mass of each trip over nominal. `law` is how its damping depends on
-    the temperature, None if that of no healthy trip is known. `errors` (n_freq, n_sensors) [-] are
+    temperature and speed, None if the trips tell neither. `errors` (n_freq, n_sensors) [-] are
     the fractions of its signals that it may err by in each bin of a trip, `scatter` that of its
-    parts from trip to trip; None: not known.
+    parts from trip to trip, `loads_m` (n_trips, 2) [m] where each trip's load has the body's centre
+    of mass, from the middle towards the bogie and to the left; None: not known.
     """
 
     generator: SpatialVehicle
@@ -69,6 +70,7 @@ class CommissionedBogie(ShortRepr):
     law: DampingLaw | None = None
     errors: Tensor | None = None
     scatter: HealthyScatter | None = None
+    loads_m: FloatArray | None = None
 
     @cached_property
     def healthy(self) -> HealthyValues:

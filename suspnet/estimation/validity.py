@@ -173,6 +173,9 @@ def _check_bogie(model: BogieModel) -> None:
         if not (values > 0).all():
             raise ValueError(f"`bogie.{name}` must be positive")
     check_number("bogie.misfit", bogie.misfit, low=0)
+    if bogie.loads_m is not None:
+        if bogie.loads_m.shape != (len(bogie.masses), 2) or not np.isfinite(bogie.loads_m).all():
+            raise ValueError("`bogie.loads_m` must be two finite numbers for each trip")
     check_flag("bogie.converged", bogie.converged)
     if bogie.errors is not None and (
         bogie.errors.ndim != 2

@@ -99,6 +99,7 @@ def test_json_holds_trips_masses_and_misfits(commissioned, written):
     for one, mass, misfit in zip(content["trips"], MASSES, outcome.misfits, strict=True):
         assert one["mass_ratio"] == mass
         assert one["mass_kg"] == pytest.approx(6300.0 * mass)
+        assert one["centre_m"] == []
         assert [group["misfit"] for group in one["groups"]] == [misfit]
         assert misfit == pytest.approx(1, abs=0.3)
 
@@ -192,6 +193,7 @@ def bogie(misfit, converged=True):
         law=None,
         healthy=healthy,
         masses=np.ones(3),
+        loads_m=np.array([[0.21, -0.04]] * 3),
         errors=errors,
         generator=vehicle,
         scatter=HealthyScatter((1e-3,) * 4, (0.0,) * 4, 5, tuple(map(tuple, 1e-6 * np.eye(12)))),
@@ -228,7 +230,11 @@ def test_the_verdict_is_that_of_the_parts_where_they_are_read(
     assert "above 1.15 something" in text
     assert "Track under the wheelsets" in text
     assert re.search(r"names a part, for the hardest.*primary springs \d", text)
-    verdict = json.loads((tmp_path / "commissioning.json").read_text())["verdict"]
+    assert "Its centre towards the bogie [m]" in text
+    assert "0.21" in text
+    content = json.loads((tmp_path / "commissioning.json").read_text())
+    assert [trip["centre_m"] for trip in content["trips"]] == [[0.21, -0.04]] * 3
+    verdict = content["verdict"]
     assert verdict[0].startswith(parts)
     assert "explains" not in verdict[0]
 

@@ -236,15 +236,17 @@ def commission_bogie(
     fit, x, misfit, n, shared = end.fit, end.x, end.misfit, end.fit.n_numbers, end.fit.n_shared
     covariance = fit.covariance(x, max(1.0, misfit) ** 2)
     posterior = fit.numbers.moved(x[:n], covariance[:n, :n])
+    carried = x[shared:].reshape(len(trips), -1)
     return CommissionedBogie(
         replace(fit.generator, distribution=posterior),
         torch.stack([noise.densities for noise in fit.noise_at(x)]).mean(dim=0),
-        np.exp(x[shared:].reshape(len(trips), -1)[:, 0]),
+        np.exp(carried[:, 0]),
         end.bare_misfit,
         end.converged,
         _shown(law, x[n:shared], covariance[n:shared, n:shared]),
         fit.errors,
         healthy_scatter(fit, x),
+        np.expm1(carried[:, 1:]) if carried.shape[1] > 1 else None,
     )
 
 

@@ -187,7 +187,7 @@ def _trips(healthy: HealthyTrips, outcome: Commissioned) -> list[dict[str, Any]]
         ]
         if not healthy.groups:  # these trips show their parts only
             stretches = [(healthy.of_parts[i], None)]
-        ratio = float(outcome.bogie.masses[i])
+        ratio, loads_m = float(outcome.bogie.masses[i]), outcome.bogie.loads_m
         rows.append(
             {
                 "name": manifest.name,
@@ -195,6 +195,7 @@ def _trips(healthy: HealthyTrips, outcome: Commissioned) -> list[dict[str, Any]]
                 "start": "" if manifest.start is None else manifest.start.isoformat(),
                 "mass_ratio": ratio,
                 "mass_kg": ratio * outcome.generator.vehicle.body_mass_kg,
+                "centre_m": [] if loads_m is None else loads_m[i].tolist(),
                 "groups": [
                     {
                         "speed_m_per_s": group.speed_m_per_s,
