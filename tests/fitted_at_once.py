@@ -14,4 +14,6 @@ def fitted_at_once(vehicle, trips, converged=True):
     errors = torch.zeros(len(trips[0].frequencies_hz), n_sensors, dtype=torch.float64)
     of_sensors = torch.full((n_sensors,), 1e-6, dtype=torch.float64)
     loads_m = np.full((len(trips), 2), 0.1)
-    return CommissionedBogie(vehicle, of_sensors, masses, 1.02, converged, None, errors, scatter, loads_m)
+    return CommissionedBogie(
+        vehicle, of_sensors, masses, 1.02, converged, None, errors, scatter, loads_m
+    )
