@@ -1,11 +1,13 @@
 """How well the parts of rough trains are read, which have what suspnet's family lacks.
 
 python benchmarks/rough_train.py [--sets "flexible modes" ballast all] [--seeds 0] [--minutes 20]
+    [--later-minutes 5] [--speeds 48 78] [--both-ways]
 
 Each set is one of SETS of tests/rich_train.py. A bogie is commissioned on healthy trips of payloads
 0.95 to 1.18; then each of its twelve parts wears on a trip of its own, and healthy trips follow.
 Writes a row of each trip to rough_train.csv, in place of those of the same set and seed, and prints
-a line for each set: misfit, rms errors and coverage by kind of part, parts named, trips flagged.
+a line for each set: misfit, rms errors, half widths and coverage by kind of part, coverage of all
+parts with its binomial interval, parts named, trips flagged.
 The time of commissioning is that of the processor, on one thread.
 """
 
@@ -22,6 +24,7 @@ from named_parts import Z90
 from rich_effects import SETS
 from rich_train import RichTrain
 from rich_train_trips import write_train_trips
+from scipy.stats import binomtest
 from tabulate import tabulate
 from vehicles import AM96
 
@@ -77,7 +80,8 @@ def written(name, seed, options, folder):
     train = RichTrain.scattered(seed, SETS[name])
 
     def write(some, minutes, own_seed):
-        fleet = Fleet(n_trips=len(ratios[some]), minutes=minutes, rate_hz=RATE_HZ)
+        way = "both" if options.both_ways else "forward"
+        fleet = Fleet(len(ratios[some]), minutes=minutes, direction=way, rate_hz=RATE_HZ)
         at = {"speeds_m_per_s": speeds[some], "rate_hz": RATE_HZ}
         return write_train_trips(folder / str(own_seed), train, ratios[some], fleet, own_seed, **at)
 
@@ -101,7 +105,12 @@ def read(name, seed, options, ratios, celsius, trips):
     )
     took = time.process_time() - begun
     print(f"{name}, {seed}: {took:.0f} s, misfit {commissioned.misfit:.2f}", flush=True)
-    head = {"set": name, "seed": seed, "minutes": options.minutes, "n_healthy": options.healthy}
+    head = {
+        "set": label(name, options),
+        "seed": seed,
+        "minutes": options.minutes,
+        "n_healthy": options.healthy,
+    }
     head |= {"healthy_misfit": f"{commissioned.misfit:.3f}", "commission_s": f"{took:.0f}"}
     head |= {"commission_is_done": int(commissioned.converged)}
     later = range(options.healthy, len(trips))
@@ -143,21 +152,42 @@ def verdict(worn, accused):
     return "right" if bool(accused) == bool(worn) else "silent"
 
 
+def label(name, options):
+    """Return the name of a set with what differs from the usual trips."""
+    low, high = options.speeds
+    further = [name]
+    further += [f"{low:g} to {high:g} m/s"] if high > low else []
+    further += ["both ways"] if options.both_ways else []
+    further += [f"{options.later_minutes:g} minutes"] if options.later_minutes else []
+    return ", ".join(further)
+
+
 def table(rows):
-    """Return a line for each set and seed."""
+    """Return a line for each set, over its trains, parts and trips."""
     lines = []
-    for name, seed in dict.fromkeys((row["set"], str(row["seed"])) for row in rows):
-        of = [row for row in rows if (row["set"], str(row["seed"])) == (name, seed)]
+    for name in dict.fromkeys(row["set"] for row in rows):
+        of = [row for row in rows if row["set"] == name]
         worn = [row for row in of if row["part"] != "healthy"]
-        line = {"set": name, "seed": seed, "misfit": of[0]["healthy_misfit"]}
+        misfits = sorted({float(row["healthy_misfit"]) for row in of})
+        ends = f"{misfits[0]:.2f} to {misfits[-1]:.2f}" if len(misfits) > 1 else f"{misfits[0]:.2f}"
+        seeds = sorted({int(row["seed"]) for row in of})
+        line = {"set": name, "seeds": " ".join(map(str, seeds)), "misfit": ends}
+        if len(seeds) > 3:
+            line["seeds"] = f"{seeds[0]} to {seeds[-1]}"
+        n_held, n_all = 0.0, 0
         for kind in KINDS:
             squares = [float(row[f"rms_{kind}_percent"]) ** 2 for row in worn]
-            held = np.mean([float(row[f"held_{kind}_percent"]) for row in worn])
+            held = [float(row[f"held_{kind}_percent"]) / 100 for row in worn]
             width = np.median([float(row[f"width_{kind}_percent"]) for row in worn])
-            line[kind] = f"{np.sqrt(np.mean(squares)):.2g} / +-{width:.2g} / {held:.0f}"
-        line["right"] = sum(row["verdict"] == "right" for row in worn)
-        line["wrong"] = sum(row["verdict"] == "wrong" for row in of)
-        line["flagged"] = f"{sum(int(row['flagged']) for row in of)} of {len(of)}"
+            rms, percent = np.sqrt(np.mean(squares)), 100 * np.mean(held)
+            line[kind] = f"{rms:.2g} / +-{width:.2g} / {percent:.0f}"
+            n_parts = sum(part.startswith(kind) for part in COMPONENTS)
+            n_held, n_all = n_held + n_parts * sum(held), n_all + n_parts * len(held)
+        low, high = binomtest(round(n_held), n_all).proportion_ci(method="wilson")
+        line["held"] = f"{100 * n_held / n_all:.0f} ({100 * low:.0f} to {100 * high:.0f})"
+        line["right"] = f"{sum(row['verdict'] == 'right' for row in worn)} of {len(worn)}"
+        line["wrong"] = f"{sum(row['verdict'] == 'wrong' for row in of)} of {len(of)}"
+        line["flagged"] = sum(int(row["flagged"]) for row in of)
         lines.append(line)
     return tabulate(lines, headers="keys", tablefmt="pipe", disable_numparse=True)
 
@@ -179,6 +209,7 @@ def main():
     parser.add_argument("--minutes", type=at_least(4, float), default=20.0, help="of a trip")
     parser.add_argument("--later-minutes", type=at_least(3, float), help="of trips after these")
     parser.add_argument("--speeds", nargs=2, type=float, default=[SPEED_M_PER_S] * 2, help="m/s")
+    parser.add_argument("--both-ways", action="store_true", help="every other trip in reverse")
     parser.add_argument("--output", type=Path, default=RESULTS, help="folder of the table")
     options = parser.parse_args()
     torch.set_num_threads(1)

@@ -21,6 +21,7 @@ from rich_trips import DRIFT
 from scipy.signal import resample_poly
 from vehicles import AM96
 
+from suspnet.ground.parameters import FORWARD, REVERSE
 from suspnet.trains.recordings.manifest import TripManifest
 from suspnet.trains.recordings.manifest_files import write_manifest
 from suspnet.trains.recordings.manifest_sources import SensorSource, SpeedSource
@@ -54,7 +55,7 @@ def write_train_trips(
     ----------
     folder : Path
     train : RichTrain
-        Of all trips; its speed is replaced by that of each.
+        Of all trips; its speed is replaced by that of each, and it runs as the fleet says.
     ratios : array of shape (n_trips, 5) or (n_trips, 13), [-]
         ``PARAMETERS``, or each of rich_structure.PARTS and M_s, relative to the train's own, M_s to
         nominal.
@@ -82,6 +83,9 @@ def write_train_trips(
     sources = [np.random.SeedSequence([seed, i]).spawn(4) for i in range(len(ratios))]
     trains, warm = zip(*(of_the_trip(train, _rng(own[3])) for own in sources), strict=True)
     rough = [1.0] * len(ratios) if roughness is None else roughness
+    if fleet.direction != FORWARD:
+        ways = [fleet.direction_of(i) == REVERSE for i in range(len(trains))]
+        trains = [replace(own, reverse=way) for own, way in zip(trains, ways, strict=True)]
     drives = [
         Drive(own.at(v), replace(fleet, speed_m_per_s=float(v)), rate_hz, track, journey, by)
         for own, v, by, (track, _, journey, _) in zip(trains, speeds, rough, sources, strict=True)
@@ -234,6 +238,7 @@ def _write(folder, fleet, index, ratios, drive, signals, sides, rngs, temperatur
             mileage_km=float(fleet.mileage_km()[index]),
             start=FIRST_DAY + time_between(fleet) * index,
             temperature_c=temperature_c,
+            direction=REVERSE if train.reverse else None,
             speed=SpeedSource(f"{name}/speed.parquet", "m/s", column="speed", rate_hz=1.0),
             channels=chosen or {name: found[0] for name, found in channels.items()},
             truth=true_ratios(train, ratios, sides),

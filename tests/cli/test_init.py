@@ -149,7 +149,7 @@ def test_german_csv_of_a_logger_becomes_a_manifest(channels, tmp_path):
     text = written(tmp_path, "Messung.csv", "gps.csv", *SAID[:3])
     assert "delimiter ';'" in text
     # no train moves like copies of one side: they are too short to be read as parts
-    manifest = assert_ready(tmp_path, "1 can be read but hold too little")
+    manifest = assert_ready(tmp_path, "1 can be read but holds too little")
     assert [one.column for one in manifest.channels["bogie"]] == [
         "Drehgestell li [m/s2]",
         "Drehgestell re [m/s2]",
