@@ -1,13 +1,13 @@
 """How well the parts of rough trains are read, which have what suspnet's family lacks.
 
 python benchmarks/rough_train.py [--sets "flexible modes" ballast all] [--seeds 0] [--minutes 20]
-    [--later-minutes 5] [--speeds 48 78] [--both-ways]
+    [--later-minutes 5] [--together 3] [--speeds 48 78] [--both-ways]
 
 Each set is one of SETS of tests/rich_train.py. A bogie is commissioned on healthy trips of payloads
 0.95 to 1.18; then each of its twelve parts wears on a trip of its own, and healthy trips follow.
 Writes a row of each trip to rough_train.csv, in place of those of the same set and seed, and prints
 a line for each set: misfit, rms errors, half widths and coverage by kind of part, coverage of all
-parts with its binomial interval, parts named, trips flagged.
+parts with its binomial interval, verdicts of single trips and of --together trips of one fault.
 The time of commissioning is that of the processor, on one thread.
 """
 
@@ -31,6 +31,7 @@ from vehicles import AM96
 import suspnet
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.trains.fits.bogie_fit import FURTHER_PARTS, fit_parts
+from suspnet.trains.fits.joint_estimate import joint_estimate
 from suspnet.trains.identification.bogie_trips import PARTS_OF_BOGIE
 from suspnet.trains.simulation import Fleet
 
@@ -52,10 +53,12 @@ def drawn_ratios(options, seed):
     ratios[:, -1] = rng.uniform(*PAYLOADS, len(ratios))
     ratios[: options.healthy, -1] = rng.permutation(np.linspace(*PAYLOADS, options.healthy))
     # each kind of part at low and high levels, in another order for each seed
-    n_worn = max(options.worn, n_parts)
-    levels = np.resize(rng.permutation(LEVELS), n_worn)
-    for i, number in enumerate(np.linspace(0, n_worn - 1, options.worn).round().astype(int)):
-        ratios[options.healthy + i, number % n_parts] = levels[number]
+    n_faults = options.worn // options.together
+    n_drawn = max(n_faults, n_parts)
+    levels = np.resize(rng.permutation(LEVELS), n_drawn)
+    for i, number in enumerate(np.linspace(0, n_drawn - 1, n_faults).round().astype(int)):
+        first = options.healthy + options.together * i
+        ratios[first : first + options.together, number % n_parts] = levels[number]
     return ratios
 
 
@@ -114,28 +117,39 @@ def read(name, seed, options, ratios, celsius, trips):
     head |= {"healthy_misfit": f"{commissioned.misfit:.3f}", "commission_s": f"{took:.0f}"}
     head |= {"commission_is_done": int(commissioned.converged)}
     later = range(options.healthy, len(trips))
-    rows = []
+    rows, readings = [], []
     for i in later:
         speeds = trips[i].damper_speeds(VEHICLE.sensors)
         found = fit_parts(commissioned, trips[i]).compared(commissioned.law, celsius[i], speeds)
         is_flagged = not (commissioned.converged and found.converged)  # as by estimate_parts
         row = head | {"trip": i} | row_of(found, ratios[i])
         rows.append(row | {"flagged": int(is_flagged), "is_done": int(found.converged)})
+        readings = [*readings, found][-options.together :]
+        is_last = (i - options.healthy) % options.together == options.together - 1
+        is_last &= options.together > 1
+        rows[-1]["together"] = joint_verdict(commissioned, readings, ratios[i]) if is_last else ""
     return rows
+
+
+def joint_verdict(commissioned, readings, truth):
+    """Return the verdict of several trips of one fault."""
+    logs = np.array([np.log(found.values[:-1]) for found in readings])
+    widths = np.array([Z90 * found.deviations[:-1] for found in readings])
+    joint = joint_estimate(commissioned, logs, widths, 0.9)
+    return verdict(worn_names(truth), [set(one.names) for one in suspnet.worn_parts(joint)])
 
 
 def row_of(found, truth):
     """Return what was read of one trip."""
     errors = np.log(found.values) - np.log(truth)
-    worn = [name for name, true in zip(COMPONENTS[:-1], truth[:-1], strict=True) if true != 1]
-    accused = ["+".join(one.names) for one in suspnet.worn_parts(found)]
+    worn, accused = worn_names(truth), [one.names for one in suspnet.worn_parts(found)]
     row = {"part": worn[0] if worn else "healthy", "misfit": f"{found.misfit:.3f}"}
     if worn:
         place = COMPONENTS.index(worn[0])
         row |= {"percent": 100 * truth[place], "read_percent": f"{100 * found.values[place]:.2f}"}
     else:
         row |= {"percent": 100.0, "read_percent": ""}
-    row |= {"accused": " ".join(accused), "verdict": verdict(worn, accused)}
+    row |= {"accused": " ".join(map("+".join, accused)), "verdict": verdict(worn, accused)}
     for kind in (*KINDS, "M_s"):
         of = np.array([name.startswith(kind) for name in COMPONENTS])
         held = np.abs(errors[of]) < Z90 * found.deviations[of]
@@ -145,9 +159,14 @@ def row_of(found, truth):
     return row
 
 
+def worn_names(truth):
+    """Return the names of the parts whose ratios are not 1."""
+    return [name for name, true in zip(COMPONENTS[:-1], truth[:-1], strict=True) if true != 1]
+
+
 def verdict(worn, accused):
     """Return right, wrong or silent: parts that did not wear are accused, or none is."""
-    if any(not set(worn) & set(group.split("+")) for group in accused):
+    if any(not set(worn) & set(group) for group in accused):
         return "wrong"
     return "right" if bool(accused) == bool(worn) else "silent"
 
@@ -159,6 +178,7 @@ def label(name, options):
     further += [f"{low:g} to {high:g} m/s"] if high > low else []
     further += ["both ways"] if options.both_ways else []
     further += [f"{options.later_minutes:g} minutes"] if options.later_minutes else []
+    further += [f"{options.together} trips each"] if options.together > 1 else []
     return ", ".join(further)
 
 
@@ -188,6 +208,8 @@ def table(rows):
         line["right"] = f"{sum(row['verdict'] == 'right' for row in worn)} of {len(worn)}"
         line["wrong"] = f"{sum(row['verdict'] == 'wrong' for row in of)} of {len(of)}"
         line["flagged"] = sum(int(row["flagged"]) for row in of)
+        joint = [row["together"] for row in worn if row.get("together")]
+        line["joint"] = f"{joint.count('right')} of {len(joint)}" if joint else "-"
         lines.append(line)
     return tabulate(lines, headers="keys", tablefmt="pipe", disable_numparse=True)
 
@@ -207,6 +229,7 @@ def main():
     parser.add_argument("--worn", type=at_least(1), default=12, help="trips with a worn part")
     parser.add_argument("--later", type=at_least(0), default=3, help="healthy trips after these")
     parser.add_argument("--minutes", type=at_least(4, float), default=20.0, help="of a trip")
+    parser.add_argument("--together", type=at_least(1), default=1, help="trips of each fault")
     parser.add_argument("--later-minutes", type=at_least(3, float), help="of trips after these")
     parser.add_argument("--speeds", nargs=2, type=float, default=[SPEED_M_PER_S] * 2, help="m/s")
     parser.add_argument("--both-ways", action="store_true", help="every other trip in reverse")
