@@ -119,8 +119,7 @@ def read(name, seed, options, ratios, celsius, trips):
     later = range(options.healthy, len(trips))
     rows, readings = [], []
     for i in later:
-        speeds = trips[i].damper_speeds(VEHICLE.sensors)
-        found = fit_parts(commissioned, trips[i]).compared(commissioned.law, celsius[i], speeds)
+        found = fit_parts(commissioned, trips[i], temperature_c=celsius[i])
         is_flagged = not (commissioned.converged and found.converged)  # as by estimate_parts
         row = head | {"trip": i} | row_of(found, ratios[i])
         rows.append(row | {"flagged": int(is_flagged), "is_done": int(found.converged)})

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from suspnet.curves.estimates import EstimateSettings
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
-from suspnet.estimation.damping_law import DampingLaw
 from suspnet.estimation.estimate import Estimate, HealthyValues
 from suspnet.estimation.fitted import Model
+from suspnet.estimation.suspension_law import SuspensionLaw
 from suspnet.estimation.trained import READS_TRIPS
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import INTERVAL_LEVEL
@@ -53,7 +53,7 @@ class BogieModel(Model):
         return self.bogie.healthy
 
     @property
-    def law(self) -> DampingLaw | None:
+    def law(self) -> SuspensionLaw | None:
         """How damping depends on the temperature; None if no healthy trip's is known."""
         return self.bogie.law
 

@@ -19,10 +19,10 @@ from suspnet.curves.problem import Problem
 from suspnet.curves.protocols import Task
 from suspnet.estimation.bogie_model import BOGIE, BogieModel
 from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScatter
-from suspnet.estimation.damping_law import DampingLaw
 from suspnet.estimation.fitted import Model, ModelFileError
 from suspnet.estimation.flags import OODDetector
 from suspnet.estimation.intervals import Intervals
+from suspnet.estimation.suspension_law import SuspensionLaw
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.validity import check_arrays, check_model, check_numbers, check_same
 from suspnet.ground.storage import (
@@ -409,7 +409,7 @@ def _bogie(content: dict[str, Any], device: str) -> CommissionedBogie:
         np.array(content["masses"], dtype=np.float64),
         content["misfit"],
         content["converged"],
-        None if law is None else DampingLaw(**law),
+        None if law is None else SuspensionLaw(**law),
         None if errors is None else torch.tensor(errors, dtype=torch.float64),
         None if scatter is None else _scatter(scatter),
         None if loads_m is None else np.array(loads_m, dtype=np.float64),

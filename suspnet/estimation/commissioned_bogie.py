@@ -7,8 +7,8 @@ import numpy as np
 from scipy.stats import norm, t
 from torch import Tensor
 
-from suspnet.estimation.damping_law import DampingLaw
 from suspnet.estimation.estimate import HealthyValues
+from suspnet.estimation.suspension_law import SuspensionLaw
 from suspnet.ground.parameters import BOGIE_PARTS, COMPONENTS, PARAMETERS, kind_of
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import ShortRepr
@@ -67,7 +67,7 @@ class CommissionedBogie(ShortRepr):
     masses: FloatArray
     misfit: float
     converged: bool
-    law: DampingLaw | None = None
+    law: SuspensionLaw | None = None
     errors: Tensor | None = None
     scatter: HealthyScatter | None = None
     loads_m: FloatArray | None = None

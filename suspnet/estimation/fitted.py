@@ -10,11 +10,11 @@ from torch import Tensor
 
 from suspnet.curves.estimates import Observation, Observer
 from suspnet.curves.protocols import Task
-from suspnet.estimation.damping_law import DampingLaw
 from suspnet.estimation.estimate import Flags, HealthyValues
 from suspnet.estimation.flags import OODDetector
 from suspnet.estimation.intervals import Intervals
 from suspnet.estimation.refine import Refined
+from suspnet.estimation.suspension_law import SuspensionLaw
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.learning import Scaling
 from suspnet.learning.metrics import check_estimates
@@ -61,7 +61,7 @@ class Model:
         raise NotImplementedError
 
     @property
-    def law(self) -> DampingLaw | None:
+    def law(self) -> SuspensionLaw | None:
         """How damping depends on the temperature; None if unknown."""
         return None
 

@@ -14,7 +14,7 @@ from vehicles import AM96
 
 from suspnet.curves.welch import Welch
 from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScatter
-from suspnet.estimation.damping_law import DampingLaw
+from suspnet.estimation.suspension_law import SuspensionLaw
 from suspnet.ground.parameters import COMPONENTS, FORWARD, REVERSE
 from suspnet.trains.fits import bogie_fit, bogie_search
 from suspnet.trains.fits import healthy_scatter as bogie_scatter
@@ -420,7 +420,7 @@ def test_healthy_trips_of_different_temperatures_show_the_slopes_of_damping(comm
     # without their temperatures the trips are not explained, and equal ones tell no slope
     assert commission_bogie(VEHICLE, trips[:3]).misfit > 1.2
     alike = commission_bogie(VEHICLE, trips[1:2] * 3, [20.0] * 3)
-    usual = DampingLaw(20.0)
+    usual = SuspensionLaw(20.0)
     np.testing.assert_allclose(alike.law.slopes, (*usual.slopes[:2], 0.0, 0.0), rtol=1e-6)
     np.testing.assert_allclose(np.diag(alike.law.covariance)[:2], np.diag(usual.covariance)[:2])
     assert commissioned.law is None

@@ -18,9 +18,9 @@ from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.speeds import NoEstimateError
 from suspnet.curves.welch import Welch
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
-from suspnet.estimation.damping_law import DampingLaw
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.flags import BOGIE_NOT_CONVERGED
+from suspnet.estimation.suspension_law import SuspensionLaw
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.trains.fits.bogie_fit import PartsEstimate, commission_bogie, fit_parts
@@ -184,7 +184,7 @@ def test_damping_is_that_at_the_temperature_of_the_healthy_trips(short, monkeypa
     monkeypatch.setattr(bogie_trips, "bogie_trip", lambda *_: AS_USUAL)
     parts = PartsEstimate(np.ones(13), 1e-4 * np.eye(13), 1.0, True, 0.9)
     monkeypatch.setattr(bogie_trips, "fit_parts", lambda *_: parts)
-    law = DampingLaw(10.0, slopes=(-0.01, -0.02, 0.0, 0.0))
+    law = SuspensionLaw(10.0, slopes=(-0.01, -0.02, 0.0, 0.0))
     bogie = CommissionedBogie(VEHICLE, torch.ones(6), np.ones(3), 1.0, True, law)
     warmer = replace(short, manifest=replace(short.manifest, temperature_c=20.0))
     estimate = estimate_parts(bogie, warmer, TripSettings(check_channels=False))
@@ -197,7 +197,7 @@ def test_damping_is_that_at_the_temperature_of_the_healthy_trips(short, monkeypa
 def test_no_damper_is_named_for_the_weather(short, monkeypatch):
     deviations = 0.001, 0.002, 0.0, 0.0
     covariance = tuple(map(tuple, np.diag(np.square(deviations))))
-    law, warm_c = DampingLaw(10.0, slopes=(-0.01, -0.02, 0.0, 0.0), covariance=covariance), 30.0
+    law, warm_c = SuspensionLaw(10.0, slopes=(-0.01, -0.02, 0.0, 0.0), covariance=covariance), 30.0
     values = np.ones(13)
     for name, slope in zip(("c_p", "c_s"), law.slopes, strict=False):
         values[[one.startswith(name) for one in COMPONENTS]] = np.exp(20 * slope)

@@ -15,7 +15,7 @@ from commissioned_example import MASSES, UNCERTAIN, commissioned_example, trip
 from vehicles import AM96
 
 from suspnet.estimation.commissioned_bogie import HealthyScatter
-from suspnet.estimation.damping_law import NOTE, DampingLaw
+from suspnet.estimation.suspension_law import NOTE, SuspensionLaw
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.runs.language import speaking
 from suspnet.trains.identification import commissioning_summary as words
@@ -108,10 +108,10 @@ def test_notes_hold_the_law_of_damping_over_temperature(commissioned):
     found, outcome = commissioned
     deviations = 0.002, 0.0003, 0.05, 0.1
     covariance = tuple(map(tuple, np.diag(np.square(deviations)).tolist()))
-    law = DampingLaw(12.0, (0.1, 0.2), (-0.004, -0.0051, -0.3, 0.1), covariance)
+    law = SuspensionLaw(12.0, (0.1, 0.2), (-0.004, -0.0051, -0.3, 0.1), covariance)
     warm = replace(outcome, bogie=replace(outcome.bogie, law=law))
     notes = json.loads(json.dumps(training_notes(found, warm)))
-    assert DampingLaw.noted({"commissioned": notes}) == law
+    assert SuspensionLaw.noted({"commissioned": notes}) == law
     assert NOTE not in training_notes(found, outcome)
     text = " ".join(words.reference(warm))
     assert text.endswith(

@@ -57,6 +57,23 @@ def test_jump_comes_back(lost_s):
     assert drift.jump_at_s == pytest.approx(250, abs=20)
 
 
+@pytest.mark.parametrize("n_alike", [3, 7])
+def test_few_windows_that_agree_are_no_jump(n_alike):
+    """Windows at both ends have a common signal, the others have nothing in common."""
+    n, window = round(280 * RATE_HZ), round(20 * RATE_HZ)
+    early, late = sensor(AT)[:n], sensor(AT + 2.4)[:n]
+    second = np.random.default_rng(3).standard_normal(n) * early.std()
+    second[: n_alike * window] = early[: n_alike * window]
+    second[-n_alike * window :] = late[-n_alike * window :]
+    first, usable, speed = sensor(AT, smoothing=0.0, seed=2)[:n], np.ones(n, bool), np.full(n, 50.0)
+    drift = find_drift(first, second, usable, speed, RATE_HZ)
+    if n_alike == 3:
+        assert drift is None
+    else:
+        assert drift.is_jump
+        assert drift.size == pytest.approx(-2.4, abs=5e-4)
+
+
 def test_other_motion_at_another_speed_or_at_a_stop_is_no_loss():
     """As left and right move otherwise at another speed, and not at all at a stop."""
     other = sensor(AT).std() * np.random.default_rng(5).standard_normal(len(AT))

@@ -34,8 +34,8 @@ import torch
 from scipy.stats import norm
 
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
-from suspnet.estimation.damping_law import SLOPE_DEVIATIONS, USUAL_SLOPES, DampingLaw
 from suspnet.estimation.estimate import Estimate, Flags
+from suspnet.estimation.suspension_law import SuspensionLaw
 from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground.parameters import COMPONENTS, PARAMETERS, kind_of
 from suspnet.ground.types import FloatArray
@@ -91,19 +91,6 @@ class PartsEstimate(ShortRepr):
         """Standard deviation of each logarithm, (n_names,), [-]."""
         return np.sqrt(np.diag(self.covariance))
 
-    def compared(
-        self, law: DampingLaw | None, temperature_c: float | None, speeds_m_per_s: FloatArray
-    ) -> PartsEstimate:
-        """Return the estimate with damping as under the conditions of the healthy trips.
-
-        `speeds_m_per_s` are as of `BogieTrip.damper_speeds`. Without a law nothing changes.
-        """
-        if law is None:
-            return self
-        shifts, covariance = law.shifts(self.names, temperature_c, speeds_m_per_s)
-        values = self.values * np.exp(-shifts)
-        return replace(self, values=values, covariance=self.covariance + covariance)
-
     def as_estimate(self) -> Estimate:
         """Return the estimate as one row, with intervals of the level."""
         half = norm.ppf((1 + self.level) / 2) * self.deviations
@@ -119,13 +106,16 @@ def fit_parts(
     start: FloatArray | None = None,
     *,
     equal: bool | None = None,
+    temperature_c: float | None = None,
 ) -> PartsEstimate:
     """Return the ratio to healthy of every part on a later trip; `equal`: of every kind.
 
-    `equal` None: of every kind where the sensors do not show each part. `start` (13,) are ratios
-    near it, such as those of an earlier trip: the search starts there, or from the healthy vehicle
-    where that is nearer. If it does not explain the trip, it starts from the healthy vehicle in
-    bands that widen. ValueError if the trip has another number of sensors.
+    Springs and dampers are as at the temperature and the speeds of the healthy trips.
+    `temperature_c` is that of the trip, None if unknown. `equal` None: of every kind where the
+    sensors do not show each part. `start` (13,) are ratios near it, such as those of an earlier
+    trip: the search starts there, or from the healthy vehicle where that is nearer. If it does not
+    explain the trip, it starts from the healthy vehicle in bands that widen. ValueError if the trip
+    has another number of sensors.
     """
     assert bogie.generator.sensors is not None
     equal = not bogie.generator.shows_parts if equal is None else equal
@@ -133,12 +123,16 @@ def fit_parts(
     # far from the healthy trips' mass, as by a wrong one on the drawing, valleys differ
     mass = float(np.exp(np.log(bogie.masses).mean()))
     ties = EQUAL if equal else SEPARATE
+    law = bogie.law or SuspensionLaw(None)  # no condition is known to it
+    conditions = law.conditions(temperature_c, trip.damper_speeds(bogie.generator.sensors))
     fit = BogieMisfit(
         *(bogie.generator, [noise], [trip]),
         are_healthy=False,
         mass=mass,
         ties=ties,
         errors=bogie.errors,
+        conditions=conditions[None],
+        slopes=np.array(law.slopes),
     )
     near, first = (fit.start(), 0) if start is None else (nearer_start(fit, start), 2)
     end = narrowed(fit, near, first).finished(NEARLY_EXPLAINED * EXPLAINED)
@@ -152,6 +146,7 @@ def fit_parts(
         beyond = tied @ beyond_noise(bogie, ties @ x[own]) @ tied.T
         covariance = bogie.scatter.student(level) ** 2 * (covariance + beyond)
     names = PARAMETERS if equal else COMPONENTS
+    covariance = covariance + law.uncertainty(names, conditions)
     return PartsEstimate(np.exp(x[own]), covariance, misfit, end.converged, level, names)
 
 
@@ -229,7 +224,7 @@ def commission_bogie(
     assert generator.sensors is not None
     celsius = temperatures_c or [None] * len(trips)
     speeds = [trip.damper_speeds(generator.sensors) for trip in trips]
-    law = DampingLaw.of_trips(celsius, speeds)
+    law = SuspensionLaw.of_trips(celsius, speeds)
     conditions = [law.conditions(*of) for of in zip(celsius, speeds, strict=True)]
     fit = healthy_misfit(generator, trips, np.array(conditions))
     end = healthy_end(fit, further_parts).finished(NEARLY_EXPLAINED * EXPLAINED)
@@ -243,26 +238,8 @@ def commission_bogie(
         np.exp(carried[:, 0]),
         end.bare_misfit,
         end.converged,
-        _shown(law, x[n:shared], covariance[n:shared, n:shared]),
+        law.fitted(x[n:shared], covariance[n:shared, n:shared]),
         fit.errors,
         healthy_scatter(fit, x),
         np.expm1(carried[:, 1:]) if carried.shape[1] > 1 else None,
-    )
-
-
-def _shown(law: DampingLaw, slopes: FloatArray, covariance: FloatArray) -> DampingLaw | None:
-    """Return the law with slopes in deviations from their prior, those that are fitted alone."""
-    n = len(slopes)
-    is_nonlinear = n > len(law.healthy_m_per_s)
-    if law.healthy_c is None and not is_nonlinear:
-        return None
-    scale = np.array(SLOPE_DEVIATIONS[:n])
-    fitted = USUAL_SLOPES[:n] + scale * slopes
-    wide = np.zeros((len(USUAL_SLOPES),) * 2)
-    wide[:n, :n] = scale[:, None] * covariance * scale
-    return replace(
-        law,
-        healthy_m_per_s=law.healthy_m_per_s if is_nonlinear else (None, None),
-        slopes=tuple(np.pad(fitted, (0, len(wide) - n)).tolist()),
-        covariance=tuple(map(tuple, wide.tolist())),
     )

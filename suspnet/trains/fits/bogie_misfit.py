@@ -14,11 +14,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.estimation.damping_law import (
-    DAMPINGS,
-    N_SLOPES,
-    SLOPE_DEVIATIONS,
-    USUAL_SLOPES,
+from suspnet.estimation.suspension_law import (
+    DEVIATIONS,
+    N_OF_TEMPERATURE,
+    SLOPES,
+    USUAL,
     follows,
 )
 from suspnet.ground.parameters import COMPONENTS, PARAMETERS, Direction
@@ -55,8 +55,8 @@ class BogieMisfit:
     logarithms of all parts and the mass from, the mass last. Where the vehicle has the part load,
     log(1 + where its centre is [m]) follows, of each direction of ``LOAD_DEVIATIONS``. `mass` is
     what the masses of the trips are expected about, the median of their prior. `conditions`
-    (n_trips, 4) are those of the trips that their damping depends on
-    (`suspnet.estimation.damping_law`), None if it is that of the vehicle; else the slopes follow z,
+    (n_trips, 7) are those of the trips that their suspension depends on, None if it is that of the
+    vehicle; its slopes (`suspnet.estimation.suspension_law`) are `slopes` (7,), or, None, follow z,
     in deviations from their prior. `errors` are those of the vehicle's responses (n_freq,
     n_sensors) [-], see `suspnet.trains.spectra.model_errors`.
     """
@@ -68,6 +68,7 @@ class BogieMisfit:
     mass: float = math.exp(MASS_MEAN)
     ties: FloatArray = field(default_factory=SEPARATE.copy)
     conditions: FloatArray | None = None
+    slopes: FloatArray | None = None
     errors: Tensor | None = None
 
     def __post_init__(self) -> None:
@@ -115,10 +116,10 @@ class BogieMisfit:
 
     @property
     def n_slopes(self) -> int:
-        """Number of slopes of the damping law that the trips tell."""
-        if self.conditions is None:
+        """Number of slopes of the suspension's law that the trips tell."""
+        if self.conditions is None or self.slopes is not None:
             return 0
-        return N_SLOPES if "nonlinear_dampers" in self.generator.parts else len(DAMPINGS)
+        return len(SLOPES) if "nonlinear_dampers" in self.generator.parts else N_OF_TEMPERATURE
 
     @property
     def n_shared(self) -> int:
@@ -126,14 +127,18 @@ class BogieMisfit:
         return self.n_numbers + self.n_slopes
 
     @cached_property
-    def _law_directions(self) -> FloatArray:
-        """Changes of the logarithms of the columns with each slope, (n_slopes, n_columns).
+    def _follows(self) -> FloatArray:
+        """Whether a column follows each slope, (7, n_columns)."""
+        return follows(self.generator.columns)
 
-        They are those of a trip whose conditions are 1.
-        """
-        n, sizes = self.n_slopes, np.array(SLOPE_DEVIATIONS)[:, None]
-        directions: FloatArray = (sizes * follows(self.generator.columns))[:n]
-        return directions
+    def _law_factors(self, x: FloatArray, i: int) -> Tensor:
+        """Return by what the conditions of trip i multiply each column, (n_columns,)."""
+        slopes, n = np.zeros(len(SLOPES)), self.n_slopes
+        if self.slopes is not None:
+            slopes = self.slopes
+        slopes[:n] += USUAL[:n] + DEVIATIONS[:n] * x[self.n_numbers : self.n_shared]
+        assert self.conditions is not None
+        return torch.as_tensor(np.exp(self.conditions[i] * slopes @ self._follows))
 
     @property
     def _own_ties(self) -> FloatArray:
@@ -301,7 +306,7 @@ class BogieMisfit:
         bins_hz = self.frequencies_hz[trip.of(self.all_bins)]
         kinds = [
             [p + name for p in ("", "other_") for name in COMPONENTS if name.startswith(kind)]
-            for kind in DAMPINGS
+            for kind in ("c_p", "c_s")
         ]
         dampers = [columns.index(name) for of_kind in kinds for name in of_kind]
         each = torch.eye(len(columns), dtype=torch.float64)[dampers]
@@ -380,6 +385,14 @@ class BogieMisfit:
 
     def _rows(self, x: FloatArray, i: int) -> Tensor:
         """Return all columns of ratios of trip i, (1, n_columns)."""
+        rows = self._alike_rows(x, i)
+        if self.conditions is None:
+            return rows
+        # a loss below 0, which is none, does not change
+        return torch.where(rows > 0, rows * self._law_factors(x, i), rows)
+
+    def _alike_rows(self, x: FloatArray, i: int) -> Tensor:
+        """Return all columns of ratios of trip i as under the conditions of the healthy trips."""
         x = np.clip(x, -FURTHEST, FURTHEST)  # a step from afar may overflow
         own = x[self.n_shared :].reshape(len(self.trips), -1)[i]
         tied, loads = np.split(own, [len(self._own_ties.T)])
@@ -387,12 +400,7 @@ class BogieMisfit:
         parts = torch.as_tensor(np.exp(self._own_ties @ tied))[None]
         rows = self.generator.with_uncertain(parts, torch.as_tensor(numbers))
         rows[:, self._loads] = torch.as_tensor(np.expm1(loads))
-        if self.conditions is None:
-            return rows
-        n = self.n_slopes
-        usual = np.divide(USUAL_SLOPES, SLOPE_DEVIATIONS)[:n]
-        slopes = self.conditions[i, :n] * (usual + x[self.n_numbers : self.n_shared])
-        return rows * torch.as_tensor(np.exp(slopes @ self._law_directions))
+        return rows
 
     def responses(self, x: FloatArray, i: int, bins: Tensor) -> Tensor:
         """Return the responses of trip i's sensors to the inputs, (p, m, n_freq)."""
@@ -407,27 +415,34 @@ class BogieMisfit:
     def _directions(self) -> Tensor:
         """Changes of the logarithms of the columns with each coordinate, (n, n_columns).
 
-        Those of slopes are of a trip whose conditions are 1.
+        Those of slopes, which depend on the trip, are left 0.
         """
         n, shared, columns = self.n_numbers, self.n_shared, self.generator.uncertain_columns
         directions = torch.zeros(
             shared + self.n_own, len(self.generator.columns), dtype=torch.float64
         )
         directions[:n, columns] = torch.tensor(self.numbers.factor.T.copy())
-        directions[n:shared] = torch.as_tensor(self._law_directions)
         n_tied = shared + len(self._own_ties.T)
         directions[shared:n_tied, : len(COMPONENTS)] = torch.as_tensor(self._own_ties.T)
         directions[range(n_tied, len(directions)), self._loads] = 1.0
         return directions
 
-    def _directions_of(self, i: int) -> Tensor:
-        """Return the directions on a trip, whose damping follows its own conditions."""
+    def _directions_of(self, x: FloatArray, i: int) -> Tensor:
+        """Return the directions on a trip, whose suspension follows its own conditions.
+
+        With o added to a column r_0 before its logarithm is taken, and r = r_0 e^s, log(r + o)
+        changes by e^s (r_0 + o) / (r + o) with log(r_0 + o), and by r / (r + o) with s.
+        """
         if self.conditions is None:
             return self._directions
-        scale = torch.ones(len(self._directions), 1, dtype=torch.float64)
-        own = self.conditions[i, : self.n_slopes]
-        scale[self.n_numbers : self.n_shared, 0] = torch.as_tensor(own)
-        return scale * self._directions
+        alike, rows = self._alike_rows(x, i)[0], self._rows(x, i)[0]
+        offsets = self.generator.offsets
+        inner = torch.where(offsets > 0, rows / alike * (alike + offsets) / (rows + offsets), 1.0)
+        directions = self._directions * torch.where(alike == 0, 1.0, inner)
+        n = self.n_slopes
+        sizes = torch.as_tensor((self.conditions[i] * DEVIATIONS)[:n, None] * self._follows[:n])
+        directions[self.n_numbers : self.n_shared] = sizes * rows.clamp(min=0) / (rows + offsets)
+        return directions
 
     def responses_along(self, x: FloatArray, i: int, bins: Tensor) -> tuple[Tensor, Tensor]:
         """Return these responses, and their changes with each coordinate that affects the trip.
@@ -436,7 +451,7 @@ class BogieMisfit:
         """
         trip = self.trips[i]
         responses, changes = self._of(trip).channels_along(
-            self._rows(x, i), self.frequencies_hz[trip.of(bins)], self._directions_of(i)
+            self._rows(x, i), self.frequencies_hz[trip.of(bins)], self._directions_of(x, i)
         )
         inputs, sensors = self._inputs, self.sensors_of(trip)
         return responses[0, inputs][:, sensors], changes[0][:, inputs][:, :, sensors]

@@ -257,10 +257,8 @@ def estimate_parts(
     trip = bogie_trip(recording, bogie.generator, settings, direction)
     if settings.check_channels:
         check_order(bogie.generator, trip)
-    parts = fit_parts(bogie, trip, settings.level)
-    assert bogie.generator.sensors is not None
-    speeds = trip.damper_speeds(bogie.generator.sensors)
-    parts = parts.compared(bogie.law, recording.manifest.temperature_c, speeds)
+    celsius = recording.manifest.temperature_c
+    parts = fit_parts(bogie, trip, settings.level, temperature_c=celsius)
     estimate = parts.as_estimate()
     flags = estimate.flags
     if not bogie.converged:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from suspnet._version import __version__
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
-from suspnet.estimation.damping_law import NOTE
+from suspnet.estimation.suspension_law import NOTE
 from suspnet.ground.findings import Finding, together
 from suspnet.ground.storage import printable, write_atomically, write_json
 from suspnet.ground.types import ComplexArray, FloatArray
