@@ -1,14 +1,20 @@
-"""The law of damping: conditions of trips, what they add to parts, and what cannot be a law."""
+"""The law of a suspension: conditions of trips, what they do to parts, and what cannot be a law."""
 
 import math
 
 import numpy as np
 import pytest
 
-from suspnet.estimation.suspension_law import NOTE, SuspensionLaw, follows
-from suspnet.ground.parameters import COMPONENTS
+from suspnet.estimation.suspension_law import NOTE, SLOPES, SuspensionLaw, follows
+from suspnet.ground.parameters import COMPONENTS, kind_of
 
 UNKNOWN = np.full(2, np.nan)
+
+
+def by_condition(warmer, primary, secondary):
+    """Return the condition of each slope."""
+    of = {"temperature": warmer, "primary speed": primary, "secondary speed": secondary}
+    return [of[slope.condition] for slope in SLOPES]
 
 
 def test_no_law_is_noted_where_there_is_none():
@@ -21,43 +27,61 @@ def test_what_is_unknown_counts_as_the_mean():
     law = SuspensionLaw.of_trips([None, 5.0, 9.0], speeds)
     assert law.healthy_c == 7.0
     assert law.healthy_m_per_s == (pytest.approx(0.1 * 2 ** (1 / 3)), None)
-    np.testing.assert_array_equal(law.conditions(None, UNKNOWN), np.zeros(4))
+    np.testing.assert_array_equal(law.conditions(None, UNKNOWN), by_condition(0, 0, 0))
     found = law.conditions(9.0, speeds[1])
-    np.testing.assert_allclose(found, [2, 2, math.log(2) * 2 / 3, 0], atol=1e-12)
+    np.testing.assert_allclose(found, by_condition(2, math.log(2) * 2 / 3, 0), atol=1e-12)
     unknown = SuspensionLaw.of_trips([None, None], [UNKNOWN, UNKNOWN])
     assert (unknown.healthy_c, unknown.healthy_m_per_s) == (None, (None, None))
-    np.testing.assert_array_equal(unknown.conditions(20.0, speeds[0]), np.zeros(4))
+    np.testing.assert_array_equal(unknown.conditions(20.0, speeds[0]), by_condition(0, 0, 0))
 
 
-def test_shifts_are_those_of_the_docstring():
-    slopes, roots = (-0.004, -0.006, -0.3, 0.1), np.random.default_rng(0).normal(size=(4, 4))
-    covariance = tuple(map(tuple, (roots @ roots.T).tolist()))
-    law = SuspensionLaw(12.0, (0.1, 0.2), slopes, covariance)
-    shifts, spread = law.shifts(COMPONENTS, 20.0, np.array([0.11, 0.15]))
-    factors = np.zeros((len(COMPONENTS), 4))
-    for i, name in enumerate(COMPONENTS):
-        if name[0] == "c":
-            kind = "ps".index(name[2])
-            factors[i, kind] = 20.0 - 12.0
-            factors[i, 2 + kind] = math.log((0.11, 0.15)[kind] / (0.1, 0.2)[kind])
-    np.testing.assert_allclose(shifts, factors @ slopes)
-    np.testing.assert_allclose(spread, factors @ covariance @ factors.T)
+def test_errors_of_slopes_are_shared_by_all_parts_of_a_kind():
+    n = len(SLOPES)
+    roots = np.random.default_rng(0).normal(size=(n, n))
+    covariance = roots @ roots.T
+    law = SuspensionLaw(12.0, (0.1, 0.2), covariance=tuple(map(tuple, covariance.tolist())))
+    conditions = law.conditions(20.0, np.array([0.11, 0.15]))
+    found = law.uncertainty(COMPONENTS, conditions)
+    for i, j in np.ndindex(found.shape):
+        expected = 0.0
+        for k, m in np.ndindex(n, n):
+            both = kind_of(COMPONENTS[i]) == SLOPES[k].number, kind_of(COMPONENTS[j])
+            if both[0] and both[1] == SLOPES[m].number:
+                expected += conditions[k] * covariance[k, m] * conditions[m]
+        assert found[i, j] == pytest.approx(expected)
 
 
-def test_dampers_of_the_other_bogie_follow_as_well():
-    columns = ("k_p_axle1_left", "c_p_axle1_left", "c_s_right", "other_c_p", "other_c_s", "M_s")
-    expected = [[0, 1, 0, 1, 0, 0], [0, 0, 1, 0, 1, 0]]
-    np.testing.assert_array_equal(follows(columns), [*expected, *expected])
+def test_fitted_slopes_are_in_deviations_of_the_prior():
+    law, n = SuspensionLaw(12.0, (0.1, 0.2)), 2
+    found = law.fitted(np.array([1.0, -2.0]), np.array([[0.5, 0.1], [0.1, 0.3]]))
+    for i, slope in enumerate(SLOPES):
+        size = (1.0, -2.0)[i] if i < n else 0.0
+        expected = slope.mean + size * slope.deviation if i < n else 0.0
+        assert found.slopes[i] == pytest.approx(expected)
+    spread = np.array(found.covariance)
+    assert spread[0, 1] == pytest.approx(0.1 * SLOPES[0].deviation * SLOPES[1].deviation)
+    assert not spread[n:].any()
+    assert found.healthy_m_per_s == (None, None)
+    every = SuspensionLaw(None, (0.1, 0.2)).fitted(np.zeros(len(SLOPES)), np.eye(len(SLOPES)))
+    assert every == SuspensionLaw(None, (0.1, 0.2))
+    assert SuspensionLaw(None).fitted(np.zeros(2), np.eye(2)) is None
+
+
+def test_parts_of_the_other_bogie_follow_as_well():
+    columns = ("k_p_axle1_left", "c_p_axle1_left", "c_s_right", "other_c_p", "rubber_loss", "M_s")
+    whose = {"k_p": [0], "c_p": [1, 3], "k_s": [], "c_s": [2], "rubber_loss": [4]}
+    for slope, row in zip(SLOPES, follows(columns), strict=True):
+        assert np.flatnonzero(row).tolist() == whose[slope.number]
 
 
 @pytest.mark.parametrize(
     ("note", "message"),
     [
         ({"healthy_c": math.nan}, "healthy_c` must be a finite number"),
-        ({"healthy_c": 10.0, "slopes": [0.0]}, "slopes` must be 4 numbers"),
+        ({"healthy_c": 10.0, "slopes": [0.0]}, "slopes` must be 7 numbers"),
         ({"healthy_c": 10.0, "healthy_m_per_s": [0.1]}, "healthy_m_per_s` must be 2 numbers"),
         ({"healthy_c": 10.0, "healthy_m_per_s": [0.1, math.inf]}, "must be a finite"),
-        ({"healthy_c": 10.0, "covariance": [[math.inf] * 4] * 4}, "covariance` must be a finite"),
+        ({"healthy_c": 10.0, "covariance": [[math.inf] * 7] * 7}, "covariance` must be a finite"),
     ],
 )
 def test_a_law_that_cannot_be_is_refused(note, message):

@@ -28,7 +28,7 @@ from suspnet.trains.fits.bogie_search import (
     tolerances,
 )
 from suspnet.trains.fits.healthy_scatter import read_as_later
-from suspnet.trains.fits.worn_parts import expected_losses, least_losses
+from suspnet.trains.fits.worn_parts import expected_losses, least_losses, worn_parts
 from suspnet.trains.identification.bogie_trips import PARTS_OF_BOGIE
 from suspnet.trains.spectra.bogie_trip import BogieTrip
 from suspnet.trains.spectra.subspace import SpectralMatrix
@@ -41,7 +41,9 @@ UNCERTAIN = {f"healthy_{name}": 0.05 for name in COMPONENTS[:-1]} | {"healthy_k_
 VEHICLE = SpatialVehicle(
     AM96, parts=("bushings", "frame_sway", "frame_yaw", "body_yaw"), distribution=UNCERTAIN
 )
-CONDITIONS = np.array([[-10.0, -10.0, 0.1, 0.2], [0.0] * 4, [10.0, 10.0, -0.2, 0.1]])
+CONDITIONS = np.array(
+    [[-10.0, -10.0, 0.1, 0.2, 0.1, 0.2, 0.1], [0.0] * 7, [10.0, 10.0, -0.2, 0.1, -0.2, 0.1, -0.2]]
+)
 NOISE = torch.tensor([4e-3, 4e-3, 5e-6, 5e-6, 2e-7, 2e-7], dtype=torch.float64)
 
 
@@ -412,7 +414,8 @@ def test_healthy_trips_of_different_temperatures_show_the_slopes_of_damping(comm
     found = commission_bogie(VEHICLE, trips, temperatures_c)
     assert found.misfit == pytest.approx(1, abs=0.1)
     assert found.law.healthy_c == 15.0
-    np.testing.assert_allclose(found.law.slopes, (*slopes, 0.0, 0.0), atol=3e-4)
+    np.testing.assert_allclose(found.law.slopes[:2], slopes, atol=3e-4)
+    assert not np.any(found.law.slopes[2:])
     deviations = np.sqrt(np.diag(found.law.covariance))
     assert deviations[:2].max() < 2e-4
     assert found.law.healthy_m_per_s == (None, None)
@@ -421,9 +424,41 @@ def test_healthy_trips_of_different_temperatures_show_the_slopes_of_damping(comm
     assert commission_bogie(VEHICLE, trips[:3]).misfit > 1.2
     alike = commission_bogie(VEHICLE, trips[1:2] * 3, [20.0] * 3)
     usual = SuspensionLaw(20.0)
-    np.testing.assert_allclose(alike.law.slopes, (*usual.slopes[:2], 0.0, 0.0), rtol=1e-6)
+    np.testing.assert_allclose(alike.law.slopes[:2], usual.slopes[:2], rtol=1e-6)
     np.testing.assert_allclose(np.diag(alike.law.covariance)[:2], np.diag(usual.covariance)[:2])
     assert commissioned.law is None
+
+
+def test_a_warm_and_rough_trip_is_read_as_under_the_conditions_of_the_healthy_ones(commissioned):
+    """Dampers of both bogies follow the law: it is the weather, and one has worn."""
+    slopes, deviations = (-0.01, -0.02, -0.5, 0.3, 0.0, 0.0, 0.0), (1e-3, 2e-3, 0.1, 0.2, 0, 0, 0)
+    faster = np.log([1.1, 0.8])
+    shifts = np.array([-0.1, -0.2]) + np.multiply(slopes[2:4], faster)
+    of_kind = dict(zip(("c_p", "c_s"), np.exp(shifts), strict=True))
+    parts = {name: of_kind[name[:3]] for name in COMPONENTS if name[0] == "c"}
+    parts["c_p_axle2_right"] *= 0.8
+    whole = row(parts)
+    for name, factor in of_kind.items():
+        whole[0, VEHICLE.columns.index(f"other_{name}")] *= factor
+    one = trip(drawn(VEHICLE, whole, 5), 70.0)
+    healthy_m_per_s = one.damper_speeds(VEHICLE.sensors) / np.exp(faster)
+    covariance = tuple(map(tuple, np.diag(np.square(deviations)).tolist()))
+    law = SuspensionLaw(10.0, tuple(healthy_m_per_s.tolist()), slopes, covariance)
+    bogie = replace(commissioned, law=law)
+    found = fit_parts(bogie, one, start=ratios({}), temperature_c=20.0)
+    worn = ratios({"c_p_axle2_right": 0.8})
+    np.testing.assert_allclose(found.values, worn, rtol=0.06)
+    assert [part.names for part in worn_parts(found)] == [("c_p_axle2_right",)]
+    # all but the error of the slopes is that of the fit
+    spreads = np.hypot([0.01, 0.02], np.array([0.1, 0.2]) * faster)
+    exact = replace(law, covariance=tuple(map(tuple, np.zeros((7, 7)).tolist())))
+    known = fit_parts(replace(bogie, law=exact), one, start=ratios({}), temperature_c=20.0)
+    for i, name in enumerate(COMPONENTS):
+        spread = spreads["ps".index(name[2])] if name[0] == "c" else 0.0
+        assert found.deviations[i] == pytest.approx(math.hypot(known.deviations[i], spread))
+    # unless the temperature is told, the trip looks like one of weak dampers
+    unknown = fit_parts(bogie, one, start=ratios({}))
+    assert unknown.values[COMPONENTS.index("c_s_left")] < 0.9
 
 
 def test_healthy_trips_of_different_roughness_show_how_dampers_depend_on_their_speed():
@@ -447,7 +482,8 @@ def test_healthy_trips_of_different_roughness_show_how_dampers_depend_on_their_s
         trips.append(trip(replace(spectra, values=roughness**2 * spectra.values), 70.0))
     found = commission_bogie(vehicle, trips)
     assert found.misfit == pytest.approx(1, abs=0.2)
-    np.testing.assert_allclose(found.law.slopes, (0.0, 0.0, *slopes), atol=0.03)
+    np.testing.assert_allclose(found.law.slopes[2:4], slopes, atol=0.03)
+    np.testing.assert_allclose(found.law.slopes[4:6], 0.0, atol=0.005)
 
 
 def test_speeds_of_dampers_are_those_of_their_ends():
@@ -470,12 +506,13 @@ def test_speeds_of_dampers_are_those_of_their_ends():
 
 def test_derivatives_by_the_slopes_are_those_of_differences():
     trips = [trip(drawn(VEHICLE, row({}, mass), i), 70.0) for i, mass in enumerate(MASSES)]
-    vehicle = VEHICLE.with_parts(("nonlinear_dampers",))
+    vehicle = VEHICLE.with_parts(("nonlinear_dampers", "rubber"))
     fit = BogieMisfit(vehicle, [NOISE] * 3, trips, are_healthy=True, conditions=CONDITIONS)
     x = fit.start() + 0.1
     jacobian = fit.exact.jacobian(x)
     assert fit.n_slopes == len(CONDITIONS[0])
-    for column in range(fit.n_numbers, fit.n_shared + 1):
+    loss = fit.numbers.names.index("rubber_loss")
+    for column in (loss, *range(fit.n_numbers, fit.n_shared + 1)):
         step = 1e-5 * np.eye(len(x))[column]
         ends = [fit.exact(x + sign * step) for sign in (1, -1)]
         difference = (ends[0] - ends[1]) / 2e-5

@@ -11,7 +11,6 @@ from rich_effects import FAMILY
 from rich_train import RichTrain
 from rich_train_trips import write_train_trips
 from rich_trips import SENSORS
-from scipy.stats import norm
 from vehicles import AM96
 
 from suspnet.curves.estimates import EstimateSettings
@@ -20,7 +19,6 @@ from suspnet.curves.welch import Welch
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.flags import BOGIE_NOT_CONVERGED
-from suspnet.estimation.suspension_law import SuspensionLaw
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.trains.fits.bogie_fit import PartsEstimate, commission_bogie, fit_parts
@@ -65,7 +63,6 @@ PARTS = (
 )
 VEHICLE = SpatialVehicle(AM96, parts=PARTS, distribution="prior")
 RATE_HZ = 100.0
-AS_USUAL = SimpleNamespace(lost=(), damper_speeds=lambda _: np.full(2, np.nan))
 
 
 def recordings(folder, ratios, minutes, effects=(*FAMILY, "unequal"), sides="pair"):
@@ -149,11 +146,10 @@ def test_search_that_did_not_end_is_told(short, monkeypatch, caplog, converged):
 def test_parts_read_with_a_doubtful_bogie_are_flagged(
     short, monkeypatch, converged, misfit, reason
 ):
-    lost = "frame_axle1_left", "axle_box_axle2_left"
-    trip = SimpleNamespace(lost=lost, damper_speeds=AS_USUAL.damper_speeds)
+    trip = SimpleNamespace(lost=("frame_axle1_left", "axle_box_axle2_left"))
     monkeypatch.setattr(bogie_trips, "bogie_trip", lambda *_: trip)
     parts = PartsEstimate(np.ones(13), 1e-4 * np.eye(13), 1.0, True, 0.9)
-    monkeypatch.setattr(bogie_trips, "fit_parts", lambda *_: parts)
+    monkeypatch.setattr(bogie_trips, "fit_parts", lambda *_, **__: parts)
     bogie = CommissionedBogie(VEHICLE, torch.ones(6), np.ones(3), misfit, converged)
     estimate = estimate_parts(bogie, short, TripSettings(check_channels=False))
     (found,) = estimate.flags.reasons
@@ -168,58 +164,16 @@ def test_parts_read_with_a_doubtful_bogie_are_flagged(
 def test_a_trip_unlike_the_healthy_ones_is_flagged_and_its_verdict_stands(
     short, monkeypatch, misfit, converged
 ):
-    monkeypatch.setattr(bogie_trips, "bogie_trip", lambda *_: AS_USUAL)
+    monkeypatch.setattr(bogie_trips, "bogie_trip", lambda *_: SimpleNamespace(lost=()))
     values = np.ones(13)
     values[COMPONENTS.index("c_s_left")] = 0.5
     parts = PartsEstimate(values, 1e-4 * np.eye(13), misfit, converged, 0.9)
-    monkeypatch.setattr(bogie_trips, "fit_parts", lambda *_: parts)
+    monkeypatch.setattr(bogie_trips, "fit_parts", lambda *_, **__: parts)
     bogie = CommissionedBogie(VEHICLE, torch.ones(6), np.ones(3), 1.0, True)
     estimate = estimate_parts(bogie, short, TripSettings(check_channels=False))
     assert estimate.flags.has("misfit").all()
     assert ("unlike the healthy ones" in estimate.flags.reasons[0]) == converged
     assert ("secondary damper, left" in estimate.found) == np.isfinite(misfit)
-
-
-def test_damping_is_that_at_the_temperature_of_the_healthy_trips(short, monkeypatch):
-    monkeypatch.setattr(bogie_trips, "bogie_trip", lambda *_: AS_USUAL)
-    parts = PartsEstimate(np.ones(13), 1e-4 * np.eye(13), 1.0, True, 0.9)
-    monkeypatch.setattr(bogie_trips, "fit_parts", lambda *_: parts)
-    law = SuspensionLaw(10.0, slopes=(-0.01, -0.02, 0.0, 0.0))
-    bogie = CommissionedBogie(VEHICLE, torch.ones(6), np.ones(3), 1.0, True, law)
-    warmer = replace(short, manifest=replace(short.manifest, temperature_c=20.0))
-    estimate = estimate_parts(bogie, warmer, TripSettings(check_channels=False))
-    of = dict(zip(estimate.names, estimate.values[0], strict=True))
-    assert of["k_p_axle1_left"] == of["M_s"] == 1
-    assert of["c_p_axle1_left"] == pytest.approx(np.exp(0.1))
-    assert of["c_s_right"] == pytest.approx(np.exp(0.2))
-
-
-def test_no_damper_is_named_for_the_weather(short, monkeypatch):
-    deviations = 0.001, 0.002, 0.0, 0.0
-    covariance = tuple(map(tuple, np.diag(np.square(deviations))))
-    law, warm_c = SuspensionLaw(10.0, slopes=(-0.01, -0.02, 0.0, 0.0), covariance=covariance), 30.0
-    values = np.ones(13)
-    for name, slope in zip(("c_p", "c_s"), law.slopes, strict=False):
-        values[[one.startswith(name) for one in COMPONENTS]] = np.exp(20 * slope)
-    # one of four dampers does not follow the others
-    values[COMPONENTS.index("c_p_axle2_right")] = 1.0
-    parts = PartsEstimate(values, 1e-4 * np.eye(13), 1.0, True, 0.9)
-    monkeypatch.setattr(bogie_trips, "bogie_trip", lambda *_: AS_USUAL)
-    monkeypatch.setattr(bogie_trips, "fit_parts", lambda *_: parts)
-    bogie = CommissionedBogie(VEHICLE, torch.ones(6), np.ones(3), 1.0, True, law)
-    warm = replace(short, manifest=replace(short.manifest, temperature_c=warm_c))
-    estimate = estimate_parts(bogie, warm, TripSettings(check_channels=False))
-    assert "axle 2, right at 122 %" in estimate.found
-    assert estimate.found.count("%") == 1
-    # intervals hold the error of the slopes
-    for j, name in enumerate(COMPONENTS):
-        slope, spread = dict(
-            zip(("c_p", "c_s"), zip(law.slopes, deviations, strict=True), strict=False)
-        ).get(name[:3], (0.0, 0.0))
-        expected = values[j] * np.exp(-20 * slope)
-        assert estimate.values[0, j] == pytest.approx(expected)
-        half = norm.ppf(0.95) * np.hypot(0.01, 20 * spread)
-        assert estimate.low[0, j] == pytest.approx(expected * np.exp(-half))
 
 
 def test_a_short_trip_is_read_from_shorter_segments(short):

@@ -106,9 +106,9 @@ def test_json_holds_trips_masses_and_misfits(commissioned, written):
 
 def test_notes_hold_the_law_of_damping_over_temperature(commissioned):
     found, outcome = commissioned
-    deviations = 0.002, 0.0003, 0.05, 0.1
+    deviations = 0.002, 0.0003, 0.05, 0.1, 0.01, 0.01, 0.2
     covariance = tuple(map(tuple, np.diag(np.square(deviations)).tolist()))
-    law = SuspensionLaw(12.0, (0.1, 0.2), (-0.004, -0.0051, -0.3, 0.1), covariance)
+    law = SuspensionLaw(12.0, (0.1, 0.2), (-0.004, -0.0051, -0.3, 0.1, 0, 0, -1), covariance)
     warm = replace(outcome, bogie=replace(outcome.bogie, law=law))
     notes = json.loads(json.dumps(training_notes(found, warm)))
     assert SuspensionLaw.noted({"commissioned": notes}) == law

@@ -123,17 +123,16 @@ def fit_parts(
     # far from the healthy trips' mass, as by a wrong one on the drawing, valleys differ
     mass = float(np.exp(np.log(bogie.masses).mean()))
     ties = EQUAL if equal else SEPARATE
-    law = bogie.law or SuspensionLaw(None)  # no condition is known to it
-    conditions = law.conditions(temperature_c, trip.damper_speeds(bogie.generator.sensors))
     fit = BogieMisfit(
         *(bogie.generator, [noise], [trip]),
         are_healthy=False,
         mass=mass,
         ties=ties,
         errors=bogie.errors,
-        conditions=conditions[None],
-        slopes=np.array(law.slopes),
     )
+    law = bogie.law or SuspensionLaw(None)  # no condition is known to it
+    conditions = law.conditions(temperature_c, trip.damper_speeds(bogie.generator.sensors))
+    fit = replace(fit, conditions=conditions[None], slopes=np.array(law.slopes))
     near, first = (fit.start(), 0) if start is None else (nearer_start(fit, start), 2)
     end = narrowed(fit, near, first).finished(NEARLY_EXPLAINED * EXPLAINED)
     if not end.explains(EXPLAINED):
