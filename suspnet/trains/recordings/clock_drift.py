@@ -40,7 +40,7 @@ LEAST_CORRELATION = 0.4
 """Least correlation of a window's cross-spectrum with the mean one for its peak to be clear."""
 CLEAR_SHARE = 0.5
 """Least share of the windows at a steady speed that must have a clear peak: both axle boxes of a
-wheelset of tests/rich_train.py had .43 of 14 on two trips, which seemed to jump by 2.4 and 3.5 s."""
+wheelset of tests/rich_train.py had .43 of 14 on two trips, and seemed to jump by 2.4 and 3.5 s."""
 NEWTON_STEPS = 3
 """Number of Newton steps from the highest sample of the cross-correlation to its peak."""
 MEMORY = 0.2
