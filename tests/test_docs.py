@@ -17,8 +17,8 @@ from trip_fixtures import model_at, small_fleet
 
 import suspnet
 from suspnet.cli.config_files import CONFIGS, TABLES
+from suspnet.cli.loader import of_healthy
 from suspnet.cli.options import PARSERS
-from suspnet.cli.presets import of_healthy
 from suspnet.curves.curves import CurveSettings
 from suspnet.curves.problem import Problem
 from suspnet.estimation.checkpoint import save_model

@@ -81,11 +81,6 @@ def suspensions(config: DictConfig) -> list[Group]:
     return find_groups(Path(config.healthy))
 
 
-def are_several(config: DictConfig, groups: Sequence[Group]) -> bool:
-    """Return whether ``healthy=`` holds several suspensions, or subfolders of trips."""
-    return len(groups) > 1 or (bool(groups) and groups[0].folder != Path(config.healthy))
-
-
 def train_fleet(
     config: DictConfig, folder: Path, groups: Sequence[Group], train_one: TrainOne
 ) -> None:

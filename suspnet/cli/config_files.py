@@ -19,15 +19,9 @@ from suspnet.ground.core_yaml import MOST_BYTES, parse_yaml
 from suspnet.ground.settings import check_flag, check_number
 from suspnet.ground.storage import read_plain
 
-
-def _configs() -> str:
-    """Return the folder of the configurations: in the package if installed, else the checkout's."""
-    packaged = Path(__file__).parents[1] / "configs"
-    return str(packaged if packaged.is_dir() else packaged.parents[1] / "configs")
-
-
-CONFIGS = _configs()
-"""Absolute path of the folder that Hydra composes from."""
+_PACKAGED = Path(__file__).parents[1] / "configs"
+CONFIGS = str(_PACKAGED if _PACKAGED.is_dir() else _PACKAGED.parents[1] / "configs")
+"""Absolute path of the folder that Hydra composes from: the package's, else the checkout's."""
 TABLES = {
     "reading": ("readings.yaml", "_global_"),
     "scenario": ("scenarios.yaml", "scenario"),
@@ -59,11 +53,11 @@ def as_written(config: Any, *, resolve: bool = False) -> dict[str, Any]:
     return {str(key): value for key, value in content.items()}
 
 
-def store_tables() -> None:
-    """Make each entry of the files of ``TABLES`` an option of its group.
+def register() -> None:
+    """Give Hydra the options of ``TABLES``, and ${described:}, the help of a configuration.
 
-    The first entry holds the common settings, and the others change it. A file GROUP/NAME.yaml in a
-    user's folder (`--config-dir`) is an option like any other.
+    The first entry of a table holds the common settings, and the others change it. A file
+    GROUP/NAME.yaml in a user's folder (`--config-dir`) is an option like any other.
     """
     for group, (file, package) in TABLES.items():
         table = OmegaConf.load(Path(CONFIGS) / file)
@@ -71,6 +65,7 @@ def store_tables() -> None:
         for name, entry in table.items():
             node = entry if name == first else {"defaults": [first, "_self_"], **entry}
             ConfigStore.instance().store(name=str(name), node=node, group=group, package=package)
+    OmegaConf.register_new_resolver("described", _described, replace=True)
 
 
 def read_settings(file: Path) -> tuple[str, dict[Any, Any]]:
@@ -102,11 +97,6 @@ def phrase(file: Path) -> str:
         if words and not NO_WORDS.match(words):
             return words.rstrip(".")
     return ""
-
-
-def register_help() -> None:
-    """Register ${described:}, which gives the help of a configuration, with OmegaConf."""
-    OmegaConf.register_new_resolver("described", _described, replace=True)
 
 
 def _described(_root_: DictConfig) -> str:

@@ -54,12 +54,7 @@ def demo(_: Namespace) -> int:
     last_row = max(number for number, line in enumerate(lines) if line.startswith("|"))
     report = REPORT / "report.html"
     print(*lines[last_row + 1 : -1], f"-> {report}", sep="\n")
-    if sys.stdout.isatty() and has_display():
+    has_display = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+    if sys.stdout.isatty() and (has_display or sys.platform in ("darwin", "win32")):
         webbrowser.open(report.absolute().as_uri())
     return 0
-
-
-def has_display() -> bool:
-    """Return whether a browser could show a page here."""
-    named = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
-    return named or sys.platform in ("darwin", "win32")

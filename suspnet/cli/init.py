@@ -1,10 +1,13 @@
 """Write manifests from data files, or a vehicle's file: suspnet init DIR | FILE ... | --vehicle."""
 
 import os
+import re
 from argparse import Namespace
 from collections.abc import Sequence
+from importlib import resources
 from pathlib import Path
 from shlex import join
+from string import Template
 
 from suspnet.cli.config_files import is_shipped, own_vehicles
 from suspnet.ground.storage import printable, write_atomically
@@ -21,6 +24,9 @@ ASSUMED = {
     "train": "another one for each suspension",
 }
 """What is assumed of each key that no trip needs."""
+NAME = re.compile(r"[A-Za-z_][\w.-]{0,99}", re.ASCII)
+FORM = Template(resources.files("suspnet.cli").joinpath("vehicle_form.yaml").read_text("utf-8"))
+"""The file of a vehicle ``$name``; ``???``, as Hydra marks it, is what the user has to give."""
 
 
 def init(arguments: Namespace) -> int:
@@ -34,15 +40,36 @@ def init(arguments: Namespace) -> int:
     settings = [word for word in words if "=" in word and not Path(word).exists()]
     paths = [Path(word) for word in words if word not in settings]
     if arguments.vehicle is not None:
-        from suspnet.cli.vehicle_form import write_vehicle
-
-        return write_vehicle(arguments.vehicle, paths, settings, arguments.force)
+        return _write_vehicle(arguments.vehicle, paths, settings, arguments.force)
     if not paths:
         raise ValueError("give a folder of data files, or the files of one trip")
     try:
         return _write(paths, settings, arguments)
     except TripError as error:
         raise ValueError("; ".join(error.problems)) from error
+
+
+def _write_vehicle(name: str, paths: Sequence[Path], words: Sequence[str], force: bool) -> int:
+    """Write DIR/vehicle/NAME.yaml with marks where numbers are to be filled in, and return 0.
+
+    ValueError if the name is wrong, or the file exists and is not replaced.
+    """
+    if not NAME.fullmatch(name):
+        raise ValueError(f"--vehicle must be a plain name without blanks, got {name!r}")
+    if len(paths) > 1 or words:
+        raise ValueError("give the folder of vehicles alone: numbers are filled in in the file")
+    path = (paths[0] if paths else Path("vehicles")) / "vehicle" / f"{name}.yaml"
+    if os.path.lexists(path) and not force:
+        raise ValueError(f"{path} exists; --force replaces it")
+    write_atomically(path, FORM.substitute(name=name), force=force)
+    option = "--config-dir", path.parents[1]
+    print(
+        printable(
+            f"-> {path}: fill in each ???\nuse it: {command('check', 'DIR', *option)}\n"
+            f"        {command('train', *option, f'vehicle={name}')} ..."
+        )
+    )
+    return 0
 
 
 def _write(paths: Sequence[Path], settings: Sequence[str], arguments: Namespace) -> int:

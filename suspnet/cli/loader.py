@@ -8,6 +8,8 @@ command line, which is the user's.
 import copy
 import os
 import re
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +25,6 @@ from hydra.plugins.config_source import ConfigResult
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
-from suspnet.cli import presets
 from suspnet.cli.config_files import CONFIGS, read_settings
 from suspnet.depot.live.broker import HOST_VARIABLE
 
@@ -53,6 +54,8 @@ WORDS = re.compile(r"(?!\.)[\w ,.:;+-]*")
 SHARED = re.compile(r"\$\{(device|group|seed|speed_m_per_s|track)\}")
 """Interpolations that may take the place of a value."""
 OPTION = re.compile(r"\w[\w.+-]*")
+OF_HEALTHY = "experiment=trips"
+"""Experiment of models that are commissioned on healthy trips."""
 
 
 def check_settings(settings: dict[Any, Any]) -> None:
@@ -198,7 +201,7 @@ class CheckedLoader(ConfigLoaderImpl):
         if config_name == "train":
             values = {override.key_or_group: _text(override) for override in parsed}
             vehicles = self.repository.get_group_options("vehicle")
-            overrides = [*overrides, *presets.of_healthy(values, vehicles, self._vehicle_name)]
+            overrides = [*overrides, *of_healthy(values, vehicles, self._vehicle_name)]
         theirs = [source for source in self.get_sources() if isinstance(source, _TheirFolder)]
         for source in theirs:
             is_named = "source.broker.host" in typed
@@ -249,3 +252,37 @@ def _check_subfolder(config: DictConfig) -> None:
         raise ValueError(
             f"`hydra.sweep.subdir` must give a plain name for the folder of a job, got {name!r}"
         )
+
+
+def of_healthy(
+    typed: Mapping[str, str | None], options: Sequence[str], name_of: Callable[[str], str | None]
+) -> list[str]:
+    """Return the overrides that a folder of healthy trips implies where the user gives none.
+
+    `typed` are the values of the keys and groups that the command line sets, as text. `options`
+    are those of the group `vehicle`, of which `name_of` returns the name of the vehicle.
+    """
+    folder = typed.get("healthy")
+    if not folder or folder == "null" or "experiment" in typed:
+        return []
+    overrides = [OF_HEALTHY]
+    if "vehicle" not in typed and (vehicle := _vehicle_in(Path(folder))):
+        named = [vehicle] if vehicle in options else []
+        named += [option for option in options if name_of(option) == vehicle]
+        overrides += [f"vehicle={option}" for option in named[:1]]
+    return overrides
+
+
+def _vehicle_in(folder: Path) -> str | None:
+    """Return the vehicle of the first manifest in a folder or its subfolders; None without one.
+
+    What is wrong with the folder, or missing to read trips, is said when they are read.
+    """
+    with suppress(ImportError, OSError, ValueError):
+        from suspnet.trains.recordings.manifest_files import ManifestFile, find_manifests
+
+        for place in (folder, *sorted(path for path in folder.iterdir() if path.is_dir())):
+            with suppress(OSError, ValueError):
+                content = ManifestFile(find_manifests(place)[0]).content
+                return content.get("vehicle") if isinstance(content, dict) else None
+    return None

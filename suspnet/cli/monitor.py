@@ -1,6 +1,7 @@
 """Estimate from live frames and store the results: suspnet-monitor run=RUN suspensions=DIR."""
 
 import logging
+import sys
 from contextlib import closing, nullcontext
 from pathlib import Path
 
@@ -25,7 +26,9 @@ def main(config: DictConfig) -> None:
     for key in ("run", "suspensions", "store"):
         if config.get(key, None) is None:
             raise ValueError(f"`{key}` is missing: suspnet-monitor --help says what it is")
-    program.log_to_stderr()
+    for handler in logging.getLogger().handlers:  # standard output is for results
+        if isinstance(handler, logging.StreamHandler) and handler.stream is sys.stdout:
+            handler.setStream(sys.stderr)
     program.n_threads(config.threads)
     program.save_config(config, program.run_folder())
     models = [load_model(run, config.device) for run in named_runs(config.run)]

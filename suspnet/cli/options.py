@@ -76,11 +76,6 @@ def check_parser() -> ArgumentParser:
     return parser
 
 
-def demo_parser() -> ArgumentParser:
-    """Return the options of suspnet demo, which has none."""
-    return _parser("suspnet demo", DEMO_DESCRIPTION, "")
-
-
 def init_parser() -> ArgumentParser:
     """Return the options of suspnet init."""
     from suspnet.trains.recordings.formats import READERS  # with pyarrow
@@ -181,7 +176,7 @@ def _add_suspension(command: ArgumentParser) -> None:
 
 PARSERS: Mapping[str, Callable[[], ArgumentParser]] = {
     "check": check_parser,
-    "demo": demo_parser,
+    "demo": lambda: _parser("suspnet demo", DEMO_DESCRIPTION, ""),
     "init": init_parser,
     "history": history_parser,
 }

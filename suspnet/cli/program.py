@@ -29,8 +29,8 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from suspnet.cli import folders, signals
-from suspnet.cli.config_files import CONFIGS, as_written, check_values, register_help, store_tables
+from suspnet.cli import config_files, folders, signals
+from suspnet.cli.config_files import CONFIGS, as_written, check_values
 from suspnet.cli.loader import CheckedLoader
 from suspnet.cli.typed_words import as_overrides
 from suspnet.ground import progress
@@ -63,9 +63,8 @@ OF_ANOTHER_PROGRAM = {
 """Groups that Hydra does not find because they belong to another program, and a hint."""
 is_debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
 
-store_tables()
+config_files.register()
 folders.register()
-register_help()
 
 
 def main(name: str) -> None:
@@ -351,13 +350,6 @@ def n_threads(wanted: int | None) -> int:
     threadpool_limits(wanted)
     torch.set_num_threads(wanted)
     return wanted
-
-
-def log_to_stderr() -> None:
-    """Send log lines to standard error: standard output is for results."""
-    for handler in logging.getLogger().handlers:
-        if isinstance(handler, logging.StreamHandler) and handler.stream is sys.stdout:
-            handler.setStream(sys.stderr)
 
 
 def save_config(config: DictConfig, folder: Path) -> dict[str, Any]:

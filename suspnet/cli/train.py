@@ -16,7 +16,6 @@ from sklearn.exceptions import ConvergenceWarning
 from suspnet.cli import folders, program
 from suspnet.cli.commission_fleet import (
     HealthySettings,
-    are_several,
     of_group,
     read_numbers,
     suspensions,
@@ -77,8 +76,12 @@ def main(config: DictConfig) -> None:
         log.info("finished before: %s", finished)
         return
     if config.healthy is not None:
-        _warn_of_unused()
-    if are_several(config, groups):
+        typed = folders.typed_settings()
+        if unused := [key for key in typed if key.partition(".")[0] in OF_REGRESSIONS]:
+            words = "without effect, as the vehicle of healthy trips reads trips itself: %s"
+            log.warning(words, ", ".join(unused))
+    # `healthy` holds several suspensions, or subfolders of trips
+    if len(groups) > 1 or (groups and groups[0].folder != Path(config.healthy)):
         at_a_speed = _at_a_speed(config)
         _check_healthy(at_a_speed)
         check_generator(build(at_a_speed, "generator"))
@@ -109,16 +112,6 @@ def _run(config: DictConfig, folder: Path, paths: Sequence[ManifestFile] | None 
     if config.speed_m_per_s is None:
         raise ValueError(NO_HEALTHY)
     _train(config, folder)
-
-
-def _warn_of_unused() -> None:
-    """Log which typed settings are of a regression, as none is trained on healthy trips."""
-    typed = folders.typed_settings()
-    if unused := [key for key in typed if key.partition(".")[0] in OF_REGRESSIONS]:
-        log.warning(
-            "without effect, as the vehicle of healthy trips reads trips itself: %s",
-            ", ".join(unused),
-        )
 
 
 def _at_a_speed(config: DictConfig) -> DictConfig:
@@ -192,8 +185,5 @@ def _train(config: DictConfig, folder: Path) -> None:
         search=search,
         refine=config.refine,
         figures=config.figures,
-        context=RunContext(
-            config=resolved,
-            swept=folders.swept(),
-        ),
+        context=RunContext(resolved, folders.swept()),
     )

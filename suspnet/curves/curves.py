@@ -251,7 +251,7 @@ class CurveObserver:
         rows = self.generator.sample_unmeasured(ratios, seed)
         clean, snr_db = self.noise_free(rows), self.settings.snr_db
         if self.settings.in_decibels:
-            return from_decibels(add_noise(decibels(clean), snr_db, seed))
+            return 10 ** (add_noise(decibels(clean), snr_db, seed) / 20)
         return add_noise(clean, snr_db, seed)
 
     def for_features(self, curves: Tensor) -> Tensor:
@@ -297,11 +297,6 @@ class CurveMisfit:
 def decibels(magnitudes: Tensor) -> Tensor:
     """Return 20 log10 of magnitudes, [dB]."""
     return 20 * magnitudes.log10()
-
-
-def from_decibels(levels: Tensor) -> Tensor:
-    """Return the magnitudes of levels [dB], 10^(level / 20)."""
-    return 10 ** (levels / 20)
 
 
 def add_noise(magnitudes: Tensor, snr_db: float, seed: int) -> Tensor:

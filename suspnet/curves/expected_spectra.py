@@ -93,10 +93,6 @@ class ExpectedSpectra:
         rough._density = rough._density_at(1.0)
         return rough
 
-    def track_density(self, frequencies_hz: FloatArray) -> FloatArray:
-        """Return the power density of the axle box's acceleration, (n_freq,), [(m/s^2)^2/Hz]."""
-        return acceleration_density(self._track, frequencies_hz, self._speed_m_per_s)
-
     @threads(1)
     def noise_densities(self, rates_hz: Sequence[float], snr_db: float) -> Tensor:
         """Return the noise densities of the three sensors, for the healthy vehicle's signals."""
@@ -107,7 +103,10 @@ class ExpectedSpectra:
             power: FloatArray = channels.abs().square().sum(dim=0).cpu().numpy()
             return power
 
-        return noise_densities(gains, self.track_density, rates_hz, snr_db)
+        def density(grid: FloatArray) -> FloatArray:
+            return acceleration_density(self._track, grid, self._speed_m_per_s)
+
+        return noise_densities(gains, density, rates_hz, snr_db)
 
     def _at_speed(self, ratios: Tensor, relative: float, weight: float) -> tuple[Tensor, Tensor]:
         """Return ratios with the relative speed as a column, and the track's weighted density."""

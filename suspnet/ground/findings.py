@@ -8,6 +8,7 @@ everything else that prints a finding has its English text, as a ``Finding`` is 
 
 from __future__ import annotations
 
+import functools
 import json
 import string
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -88,7 +89,8 @@ class Finding(str):
         if kind == LIST:
             text = plain["separator"].join(plain["parts"])
         else:
-            form = _form(plain, *TEMPLATES[kind])
+            singular, *plurals = TEMPLATES[kind]
+            form = plurals[0] if plurals and plain["n"] != 1 else singular
             # the class in Python takes ten times as long
             text = _ENGLISH.vformat(form, (), plain) if ":km}" in form else form.format(**plain)
         self = super().__new__(cls, text)
@@ -102,7 +104,7 @@ class Finding(str):
         return self  # so that an exception with a finding gives it back
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _again, (self.kind, dict(self.values))
+        return functools.partial(Finding, self.kind, **self.values), ()
 
     def plain(self) -> dict[str, Any]:
         """Return kind, values and English text as JSON-able values."""
@@ -123,14 +125,6 @@ def with_values(text: str, change: Callable[[str], str]) -> str:
     separator = {"separator": text.values["separator"]} if text.kind == LIST else {}
     values = {name: changed(value) for name, value in text.values.items()} | separator
     return Finding(text.kind, **values)
-
-
-def _form(values: Mapping[str, Any], singular: str, plural: str = "") -> str:
-    return plural if plural and values["n"] != 1 else singular
-
-
-def _again(kind: str, values: dict[str, Any]) -> Finding:
-    return Finding(kind, **values)
 
 
 _SIMPLE = (str, float, int, bool, type(None))
@@ -192,21 +186,18 @@ def restored(text: str) -> str:
 
 def together(parts: Iterable[str], separator: str = "; ") -> str:
     """Return several findings in a row, the empty ones left out; empty if there are none."""
-    several = [piece for part in parts if part for piece in _pieces(part, separator)]
+    several: list[str] = []
+    for part in filter(None, parts):
+        is_alike = kind_is(part, LIST) and part.values["separator"] == separator
+        several += parts_of(part) if is_alike else [part]
     if len(several) < 2:
         return several[0] if several else ""
     return Finding(LIST, parts=tuple(several), separator=separator)
 
 
-def _pieces(text: str, separator: str) -> tuple[str, ...]:
-    if isinstance(text, Finding) and text.kind == LIST and text.values["separator"] == separator:
-        return tuple(text.values["parts"])
-    return (text,)
-
-
 def parts_of(text: str) -> tuple[str, ...]:
     """Return the findings that a text was made of; the text itself if it was not."""
-    if isinstance(text, Finding) and text.kind == LIST:
+    if kind_is(text, LIST):
         return tuple(text.values["parts"])
     return (text,) if text else ()
 

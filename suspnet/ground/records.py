@@ -315,15 +315,12 @@ def from_row(row: Mapping[str, Any]) -> TripResult:
             parameter: value for parameter, value in values.items() if value is not None
         }
     quality: dict[str, Any] = {
-        name: or_nan(row[name]) if kind == "float" else _restored(row[name])
+        name: or_nan(row[name]) if kind == "float" else row[name]
         for name, kind in QUALITY_TYPES.items()
     }
+    quality |= {name: restored(value) for name, value in quality.items() if isinstance(value, str)}
     place = Place(**{name: row[name] for name in PLACE})
     return TripResult(place=place, quality=Quality(**quality), **entries)
-
-
-def _restored(value: str | int) -> str | int:
-    return restored(value) if isinstance(value, str) else value
 
 
 def or_nan(value: float | None) -> float:

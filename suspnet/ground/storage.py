@@ -188,11 +188,7 @@ def _finite(content: Any) -> Any:
         return {str(key): _finite(value) for key, value in content.items()}
     if isinstance(content, list | tuple):
         return [_finite(value) for value in content]
-    return finite_or_none(content.item() if isinstance(content, np.generic) else content)
-
-
-def finite_or_none(value: Any) -> Any:
-    """Return a value, with None for NaN and infinity."""
+    value = content.item() if isinstance(content, np.generic) else content
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 

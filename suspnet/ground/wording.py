@@ -25,12 +25,9 @@ def command(*words: object) -> str:
     >>> command("check", Path("-x"), "healthy=Züge 1")
     "suspnet check ./-x 'healthy=Züge 1'"
     """
-    return printable(join(["suspnet", *map(_typed, words)]))
-
-
-def _typed(word: object) -> str:
-    looks_like_option = isinstance(word, Path) and str(word).startswith("-")
-    return f"./{word}" if looks_like_option else str(word)
+    # a path must not look like an option
+    typed = (f"./{w}" if isinstance(w, Path) and str(w).startswith("-") else str(w) for w in words)
+    return printable(join(["suspnet", *typed]))
 
 
 def number(value: float | None, digits: int = 1, scale: float = 1.0) -> str:

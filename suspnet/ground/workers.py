@@ -139,17 +139,14 @@ def each(
                         waiting.append((item, attempt + 1))
                         idle.append(executor)
                         continue
-                    result = LostWorkerError(_killed(error))
+                    codes = re.search(r"\{(.*)\}", str(error))
+                    killed = Finding("killed-by", how=codes[1]) if codes else Finding("killed")
+                    result = LostWorkerError(killed)
                 idle.append(executor)
                 yield item, result
     finally:
         for executor in alive:
             executor.shutdown(kill_workers=True)
-
-
-def _killed(error: BrokenProcessPool) -> str:
-    codes = re.search(r"\{(.*)\}", str(error))
-    return Finding("killed-by", how=codes[1]) if codes else Finding("killed")
 
 
 def begin(is_forked: bool = False) -> None:

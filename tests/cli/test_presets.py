@@ -6,7 +6,7 @@ import sys
 import pytest
 import yaml
 
-from suspnet.cli.presets import of_healthy
+from suspnet.cli.loader import of_healthy
 from suspnet.estimation.trip_settings import N_HEALTHY
 
 OPTIONS = {"am96": "am96", "our_file": "our train", "ice3": "ice3"}

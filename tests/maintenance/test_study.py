@@ -17,7 +17,7 @@ from suspnet.trains.maintenance.plan import PlanSettings, place_of, plan_of, tra
 from suspnet.trains.maintenance.series import Event
 from suspnet.trains.maintenance.state import fleet_state
 from suspnet.trains.pages.board import BoardSettings
-from suspnet.trains.pages.overview import overview_rows, overview_table
+from suspnet.trains.pages.overview import overview_row, overview_table
 
 pytestmark = pytest.mark.usefixtures("blank", "trips_fitted_once")
 
@@ -58,7 +58,7 @@ def test_worst_suspension_comes_first(states):
 def test_rows_say_state_reason_and_who_has_seen_it(states):
     key = ("am96", place("right"))
     seen = {key: [Acknowledgement("k_s", Cause.LIMIT, Severity.ACT, 80_000.0, "Kim", SEEN)]}
-    rows = overview_rows(states, seen)
+    rows = [overview_row(state, seen) for state in states]
     assert rows[0]["acknowledged"] == "Kim, 2026-02-01"
     assert rows[0]["reason"] == (
         "the last trip is at 150 % of healthy; the last 2 trips are above the act limit of 125 %; "

@@ -109,7 +109,7 @@ def test_trip_signals_shows_kilometres_per_hour_and_the_time_in_minutes():
 
 def test_trip_responses_draws_every_trip_with_curves_and_a_colour_bar():
     trips = fleet(6, missing=(2,))
-    figure = trip_figures.trip_responses(trips)
+    figure = responses(trips)
     *axes, bar = figure.axes
     assert [len(axis.lines) for axis in axes] == [5] * 4
     assert bar.get_ylabel() == "mileage [1000 km]"
@@ -127,8 +127,12 @@ def test_bands_that_nothing_is_known_of_do_not_hide_the_curves():
     figures_limits(unknown)
 
 
+def responses(results):
+    return trip_figures.response_figure([(r.mileage_km, r.curves) for r in results])
+
+
 def figures_limits(shown):
-    figure = trip_figures.trip_responses([trip(curves=shown)])
+    figure = responses([trip(curves=shown)])
     texts(figure)
     return figure.axes[0].get_ylim()
 
@@ -137,7 +141,7 @@ def whole(results):
     """Return all three figures, that of the trend with two panels."""
     return (
         health_trend(trend_of(results, OUTPUTS[:2])),
-        trip_figures.trip_responses(results),
+        responses(results),
         trip_figures.trip_signals(results[-1]),
     )
 

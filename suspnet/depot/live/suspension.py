@@ -63,7 +63,10 @@ class EstimateJob:
         def read() -> Recording:
             nonlocal distance_km
             recording = replace(self.section.recording(), manifest=manifest)
-            distance_km = _distance_km(recording)
+            # unknown speeds count as the mean of the known ones
+            speeds = recording.speed_m_per_s[np.isfinite(recording.speed_m_per_s)]
+            if len(speeds):
+                distance_km = float(speeds.mean()) * recording.duration_s / 1000
             return recording
 
         result = evaluate_recording(manifest, read, self.models, self.trips)
@@ -158,12 +161,6 @@ class LiveSuspension:
 
 def _end_ns(section: Running) -> int:
     return max(section.end_ns, 0 if section.rest is None else section.rest.end_ns)
-
-
-def _distance_km(recording: Recording) -> float:
-    """Return the distance run [km]; unknown speeds count as the mean of the known ones."""
-    speeds = recording.speed_m_per_s[np.isfinite(recording.speed_m_per_s)]
-    return float(speeds.mean()) * recording.duration_s / 1000 if len(speeds) else 0.0
 
 
 def read_suspensions(

@@ -3,7 +3,6 @@
 import hmac
 import ipaddress
 import re
-import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import cast
@@ -68,14 +67,6 @@ class Access:
             list(map(ipaddress.ip_network, self.trusted_proxies))
         except (ValueError, TypeError) as error:
             raise ValueError(f"`trusted_proxies` holds addresses or networks: {error}") from None
-
-
-def is_plain(text: str) -> bool:
-    """Return whether a text has no control characters and no marks of direction.
-
-    These are the characters of the categories C of Unicode; also unassigned ones and surrogates.
-    """
-    return all(unicodedata.category(character)[0] != "C" for character in text)
 
 
 def current_access() -> Access:

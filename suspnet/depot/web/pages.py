@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import threading
+import unicodedata
 from collections.abc import Sequence
 from importlib import import_module
 from typing import Any, NamedTuple
@@ -26,7 +27,7 @@ from flask_wtf import FlaskForm
 from wtforms import HiddenField, StringField
 from wtforms.validators import DataRequired, Length, ValidationError
 
-from suspnet.depot.web.access import MAX_NAME, identify_visitor, is_plain, visitor
+from suspnet.depot.web.access import MAX_NAME, identify_visitor, visitor
 from suspnet.depot.web.service import current_refresher, opened_store, stored_trips
 from suspnet.ground.findings import of
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, NAMES, PARAMETERS, Severity
@@ -340,7 +341,8 @@ def _digest(*values: Any) -> str:
 
 
 def _check_plain(form: FlaskForm, field: StringField) -> None:
-    if not is_plain(field.data or ""):
+    # categories C of Unicode: control characters, marks of direction, surrogates, unassigned ones
+    if any(unicodedata.category(character)[0] == "C" for character in field.data or ""):
         raise ValidationError(N_("Leave out control characters."))
 
 

@@ -31,7 +31,6 @@ from suspnet.ground.records import (
     Key,
     Place,
     TripResult,
-    from_row,
     to_row,
 )
 from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm
@@ -220,12 +219,6 @@ def row_of(suspension: int, result: TripResult) -> dict[str, Any]:
     for name in ("vehicle", *PLACE):
         del row[name]  # columns of the suspensions
     return row | {"suspension_id": suspension, "key": trip_key(result)}
-
-
-def result_of(key: Key, row: RowMapping) -> TripResult:
-    """Return the trip of a row; ValueError if a value is not of the type of its column."""
-    check_types(trips, row)
-    return from_row({"vehicle": key[0], **vars(key[1]), **row})
 
 
 def or_null(value: Any) -> Any:

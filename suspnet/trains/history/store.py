@@ -15,7 +15,7 @@ from sqlalchemy.engine import Connection, Engine
 from sqlalchemy.exc import SQLAlchemyError
 
 from suspnet.ground.findings import at
-from suspnet.ground.records import MOST_NAME, OK, Key, Place, TripResult
+from suspnet.ground.records import MOST_NAME, OK, Key, Place, TripResult, from_row
 from suspnet.trains.history.arrays import (
     Reference,
     TripResponses,
@@ -43,13 +43,13 @@ from suspnet.trains.history.schema import (
     Stored,
     alarms,
     bad_row,
+    check_types,
     is_of,
     is_one_of,
     known_suspensions,
     log_once,
     overviews,
     read_stored,
-    result_of,
     row_of,
     row_of_stored,
     suspensions,
@@ -181,7 +181,8 @@ class History:
             of_suspension = chosen.join(suspensions).where(is_of(*key))
             for row in connection.execute(of_suspension).mappings():
                 try:
-                    results.append(result_of(key, row))
+                    check_types(trips, row)
+                    results.append(from_row({"vehicle": key[0], **vars(key[1]), **row}))
                 except ValueError as error:
                     self.bad_rows.append(bad_row(trips, row, error, key))
         return sorted(results, key=lambda r: (math.isnan(r.mileage_km), r.mileage_km, r.trip))

@@ -18,6 +18,7 @@ from suspnet.estimation.fitted import Model
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.findings import Finding, together, with_values, without
 from suspnet.ground.records import ERROR, OK
+from suspnet.ground.storage import write_atomically
 from suspnet.trains.identification.bogie_trips import sensor_places
 from suspnet.trains.identification.from_recording import no_channel
 from suspnet.trains.identification.rig_records import load_record, read_record, reading_of
@@ -29,7 +30,6 @@ from suspnet.trains.pages.check_page import (
     SteadyPart,
     TripCheck,
     trip_figure,
-    write_picture,
 )
 from suspnet.trains.recordings.errors import TripError, all_of
 from suspnet.trains.recordings.formats import open_columns
@@ -196,9 +196,9 @@ def _inspected(
     looked_at = checked[0]
     spectra = segments.average(looked_at) if bool(looked_at.any()) else None
     if settings.pictures is not None and picture:
-        figure = trip_figure(recording, segments.frequencies_hz, spectra, result.band_hz)
         title = f"{result.manifest.stem}: {result.words}"
-        write_picture(settings.pictures / picture, figure, title)
+        image = trip_figure(recording, segments.frequencies_hz, spectra, result.band_hz, title)
+        write_atomically(settings.pictures / picture, image)
         result = replace(result, picture=picture)
     # channels can be tested for a swap only against a known vehicle
     if vehicle is None or spectra is None or result.state == PROBLEM:

@@ -63,7 +63,8 @@ def commission_parts(healthy: HealthyTrips, trips: TripSettings) -> Commissioned
     vehicle = healthy.vehicle
     assert vehicle is not None
     folder = healthy.manifests[0].path.parent
-    _log_doubts(healthy)
+    for doubt in healthy.doubts:  # before the search, which takes minutes
+        log.warning("%s", doubt)
 
     def check_orders(nearly: float) -> None:
         all_of(
@@ -93,12 +94,6 @@ def write_bogie_model(folder: Path, model: BogieModel) -> None:
     write_json(folder / "environment.json", environment())
     metrics = {"model": model.name, "vehicle": model.vehicle.name, "misfit": model.bogie.misfit}
     write_json(folder / "metrics.json", metrics)
-
-
-def _log_doubts(healthy: HealthyTrips) -> None:
-    """Log doubts about the sensors before the search, which takes minutes."""
-    for doubt in healthy.doubts:
-        log.warning("%s", doubt)
 
 
 def check_generator(generator: ResponseGenerator) -> VerticalVehicle:

@@ -1,6 +1,6 @@
 """Results of trips with wider intervals, or relative to the first commissioning."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -27,16 +27,6 @@ def with_widened(results: Sequence[TripResult], events: Sequence[Event]) -> list
         )
         for row, result in zip(np.argsort(order), results, strict=True)
     ]
-
-
-def medians(values: Sequence[Mapping[str, float]], names: Iterable[str]) -> dict[str, float]:
-    """Return the median of each name over several mappings; empty if there are none."""
-    return {name: float(np.median([v[name] for v in values])) for name in names if values}
-
-
-def divided(values: Mapping[str, float], by: Mapping[str, float]) -> dict[str, float]:
-    """Return values divided by those of another mapping, by 1 where it has none."""
-    return {name: value / by.get(name, 1.0) for name, value in values.items()}
 
 
 def relative_to_first_healthy(

@@ -17,7 +17,7 @@ from suspnet.curves.cross_spectra import CrossSpectra
 from suspnet.estimation.trip_settings import LEAST_TRIPS, N_HEALTHY
 from suspnet.ground.findings import Finding, at, together
 from suspnet.ground.records import Place
-from suspnet.ground.storage import printable, write_atomically, write_json
+from suspnet.ground.storage import printable, write_json
 from suspnet.ground.wording import files_of, span
 from suspnet.runs.figures import as_png, say
 from suspnet.runs.language import spoken
@@ -343,13 +343,15 @@ def trip_figure(
     frequencies_hz: Tensor,
     spectra: CrossSpectra | None,
     band_hz: tuple[float, float],
-) -> Figure:
-    """Draw signals and speed of a recording in windows, spectra and coherence with the band.
+    title: str,
+) -> bytes:
+    """Return a PNG: signals and speed of a recording in windows, spectra, coherence with the band.
 
     `frequencies_hz`: (n_freq,) [Hz]; `spectra`: (3, n_freq), None if no stretch is free of faults.
     """
     # not "constrained", which takes two thirds of the time of drawing
     figure = Figure(figsize=(12.0, 7.0))
+    figure.suptitle(spoken(title), fontsize="medium")
     columns: Any = figure.subfigures(1, 2, width_ratios=(1.15, 1.0))
     left, right = columns
     axes: list[Axes] = list(left.subplots(4, 1, sharex=True))
@@ -365,7 +367,7 @@ def trip_figure(
     if spectra is None:
         for axis in (upper, lower):
             say(axis, "no stretch is long enough and free of faults")
-        return figure
+        return as_png(figure, DPI)
     hertz = frequencies_hz.numpy()
     for title, density in zip(CHANNEL_TITLES, spectra.auto.numpy(), strict=True):
         upper.semilogy(hertz[1:], np.where(density > 0, density, np.nan)[1:], label=title, lw=1)
@@ -376,10 +378,4 @@ def trip_figure(
         axis.margins(x=0)
         axis.grid(True, which="major", alpha=0.3)
         axis.legend(loc=place, fontsize="small")
-    return figure
-
-
-def write_picture(path: Path, figure: Figure, title: str) -> None:
-    """Write a figure as PNG, atomically."""
-    figure.suptitle(spoken(title), fontsize="medium")
-    write_atomically(path, as_png(figure, DPI))
+    return as_png(figure, DPI)

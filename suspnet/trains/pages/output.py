@@ -198,7 +198,7 @@ def write_pages(report: Report, output: Path, *, draw: bool = True) -> None:
         has_parts = bool(set(outputs) & set(BOGIE_PARTS))
         figures = {} if has_parts else {"trend": health_trend(trend)}
         figures |= {
-            "responses": trip_figures.trip_responses(results),
+            "responses": trip_figures.response_figure([(r.mileage_km, r.curves) for r in results]),
             "signals": trip_figures.trip_signals(done[-1] if done else results[-1]),
         }
     named = {f"trend_{name}": figure for name, figure in small.items()}

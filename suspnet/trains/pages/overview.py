@@ -68,7 +68,7 @@ class FleetView:
     """An immutable snapshot of the fleet.
 
     `version` increases with each view of a board, from 0 before anything was read; `at` is in UTC.
-    `states` are sorted by severity, then by life, and `rows` are their ``overview_rows``. `plan` is
+    `states` are sorted by severity, then by life, and `rows` are their ``overview_row``. `plan` is
     None until remaining lives are computed. `names` are the ``address`` of each suspension, and
     `keys` its index by this name. `is_complete` is whether alarms, lives and plan cover all trips;
     those of `n_waiting` suspensions are still to be evaluated. `trouble` states why the store could
@@ -112,7 +112,7 @@ def fleet_view(
     return FleetView(
         version=version,
         states=tuple(states),
-        rows=overview_rows(states, acknowledged),
+        rows=[overview_row(state, acknowledged) for state in states],
         plan=plan,
         names=names,
         keys={name: i for i, name in enumerate(names)},
@@ -127,13 +127,6 @@ def address(key: Key) -> str:
     """Return the name of a suspension in a URL: a part of a hash of vehicle and place."""
     vehicle, place = key
     return content_hash([vehicle, *astuple(place)])[:ID_DIGITS]
-
-
-def overview_rows(
-    states: Sequence[State], acknowledged: Mapping[Key, Sequence[Acknowledgement]]
-) -> list[dict[str, Any]]:
-    """Return one flat row for each suspension, in the order given."""
-    return [overview_row(state, acknowledged) for state in states]
 
 
 def overview_row(
@@ -151,13 +144,15 @@ def _row(state: State, worst: Alarm | None) -> dict[str, Any]:
     has_finding = state.severity > Severity.NONE  # the reasons of the others are not shown
     life = shortest and (*shortest[1].interval_km(), shortest[1].quantile_km(0.5))
     low, high, median = life or (np.nan, np.nan, np.nan)
+    why = state.watched.changes.why_not
+    calm = Finding("calm-unarmed", calm=CALM, why=why) if why else CALM
     return {
         "vehicle": series.vehicle,
         "where": str(series.place),
         **{name: getattr(series.place, name) for name in PLACE_FROM_TRAIN},
         "severity": str(state.severity),
         "parameter": state.parameters if has_finding else "",
-        "reason": state.reason if has_finding else _quiet(state),
+        "reason": state.reason if has_finding else calm,
         "sensors": sensor_words(state),
         "since_km": worst.begin_km if worst else np.nan,
         "n_alarms": len(state.alarms),
@@ -176,12 +171,6 @@ def _row(state: State, worst: Alarm | None) -> dict[str, Any]:
     }
 
 
-def _quiet(state: State) -> str:
-    """Return the status of a suspension without a finding."""
-    why = state.watched.changes.why_not
-    return Finding("calm-unarmed", calm=CALM, why=why) if why else CALM
-
-
 def same_columns(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return rows with the columns of all, NaN where a row lacks one, as of parts not read."""
     names = dict.fromkeys(name for row in rows for name in row)
@@ -194,12 +183,8 @@ def overview_table(rows: Sequence[Mapping[str, Any]]) -> str:
     columns = [key for key in shown if any(row[key] for row in rows)]
     head = [[row[key] for key in columns] for row in rows[:N_SHOWN]]
     more = f"\n... and {len(rows) - N_SHOWN} more" if len(rows) > N_SHOWN else ""
-    return f"{first_words(rows)}\n{tabulate(head, columns, tablefmt='github')}{more}"
-
-
-def first_words(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return what a text on a fleet begins with: `finding` and `most_severe`."""
-    return together((finding(rows), most_severe(rows)), " ")
+    first = together((finding(rows), most_severe(rows)), " ")
+    return f"{first}\n{tabulate(head, columns, tablefmt='github')}{more}"
 
 
 def finding(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -74,22 +74,18 @@ def draw_signals(axes: Sequence[Axes], seen: Overview) -> None:
     axes[3].set(ylabel="speed\n[km/h]", xlabel=f"time [{'min' if minutes else 's'}]")
 
 
-def trip_responses(results: Sequence[TripResult]) -> Figure:
-    """Draw ``response_figure`` of the trips that have curves."""
-    return response_figure([(r.mileage_km, r.curves) for r in results if r.curves is not None])
-
-
-def response_figure(trips: Sequence[tuple[float, TripCurves | TripResponses]]) -> Figure:
+def response_figure(trips: Sequence[tuple[float, TripCurves | TripResponses | None]]) -> Figure:
     """Draw magnitude and coherence of both responses, one line for each trip (Fig. 9).
 
-    `trips` are mileages and curves. Colours show the mileage; the last trip has its 95 % band where
-    its spread is known.
+    `trips` are mileages and curves; those without are left out. Colours show the mileage; the last
+    trip has its 95 % band where its spread is known.
     """
     # not "constrained", which takes half of the time of drawing
     figure = Figure(figsize=(8.4, 5.6))
     axes = figure.subplots(2, 2, sharex=True, sharey="row")
     figure.subplots_adjust(left=0.09, right=0.98, bottom=0.09, top=0.88, hspace=0.1, wspace=0.05)
-    shown = sorted(trips, key=lambda trip: np.nan_to_num(trip[0], nan=-np.inf))
+    measured = [(km, curves) for km, curves in trips if curves is not None]
+    shown = sorted(measured, key=lambda trip: np.nan_to_num(trip[0], nan=-np.inf))
     # colours only if mileages differ: a scale of one value would have no range
     mileage = np.array([km / 1000 for km, _ in shown])
     n_distinct = len(np.unique(mileage[np.isfinite(mileage)]))

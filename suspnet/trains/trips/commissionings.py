@@ -7,8 +7,10 @@ limits and tests use the trips since the last one.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from suspnet.curves.speeds import range_words
 from suspnet.estimation.fitted import FittedMethod, Model, ModelFileError
@@ -16,7 +18,6 @@ from suspnet.estimation.from_spectra import trip_settings
 from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import BODY_MASS, REVERSE
 from suspnet.ground.records import Commissioning, Place, TripResult
-from suspnet.trains.maintenance.relative import divided, medians
 from suspnet.trains.spectra.steady_parts import speed_range
 
 NAMED = 6
@@ -82,25 +83,18 @@ def with_truth_of_each(
     results: Sequence[TripResult], several: Sequence[Commissioning]
 ) -> list[TripResult]:
     """Return results whose truth, if known, is relative to their commissioning's healthy trips."""
-    truths = {
-        commissioning.since_km: [
-            r.truth for r in results if r.trip in commissioning.trips and r.truth
-        ]
-        for commissioning in several
-    }
-    return [
-        _relative_truth(r, truths[r.healthy_since_km]) if r.healthy_since_km in truths else r
-        for r in results
-    ]
-
-
-def _relative_truth(result: TripResult, healthy: Sequence[Mapping[str, float]]) -> TripResult:
-    names = [
-        name
-        for name in result.truth
-        if name != BODY_MASS and all(name in truth for truth in healthy)
-    ]
-    return replace(result, truth=divided(result.truth, medians(healthy, names)))
+    usual: dict[float, dict[str, float]] = {}
+    for commissioning in several:
+        truths = [r.truth for r in results if r.trip in commissioning.trips and r.truth]
+        known = set.intersection(*map(set, truths)) - {BODY_MASS} if truths else set()
+        medians = {name: float(np.median([truth[name] for truth in truths])) for name in known}
+        usual[commissioning.since_km] = medians
+    relative = []
+    for r in results:
+        medians = usual.get(r.healthy_since_km, {})
+        truth = {name: value / medians.get(name, 1.0) for name, value in r.truth.items()}
+        relative.append(replace(r, truth=truth))
+    return relative
 
 
 def check_models(models: Sequence[Model]) -> tuple[str, ...]:

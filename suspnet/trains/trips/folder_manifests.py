@@ -248,7 +248,8 @@ def _trip(
     if is_single and "side" not in stated:
         required.append("side")
     missing = tuple(dict.fromkeys([*required, *writer.missing]))
-    text = "\n".join(map(_on_one_line, lines)) + "\n"
+    plain = ("".join(sign if sign.isprintable() else " " for sign in line) for line in lines)
+    text = "\n".join(plain) + "\n"
     return Trip(path, trip.files, stated, completed, text, missing, tuple(writer.guesses))
 
 
@@ -320,10 +321,6 @@ class _Writer:
 
 def _yaml(value: object) -> str:
     return json.dumps(value, ensure_ascii=not str(value).isprintable())
-
-
-def _on_one_line(words: str) -> str:
-    return "".join(letter if letter.isprintable() else " " for letter in words)
 
 
 def loggers_of(command_line: Mapping[str, str]) -> list[str]:
