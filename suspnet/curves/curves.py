@@ -17,10 +17,10 @@ are fixed at the median.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar, Literal, Protocol, Self
+from typing import TYPE_CHECKING, ClassVar, Literal, Self
 
 import numpy as np
 import torch
@@ -28,6 +28,9 @@ from torch import Tensor
 
 from suspnet.ground.settings import check_number, check_settings, setting
 from suspnet.vehicle import PARAMETERS, ResponseGenerator, Vehicle
+
+if TYPE_CHECKING:  # it has directions, too
+    from suspnet.curves.estimate_observer import EstimateObserver
 
 LEAST_CALIBRATION = 100
 """Smallest number of calibration curves; the coverage of a 90 % interval then scatters by 3 %."""
@@ -126,18 +129,7 @@ def every_direction(generator: ResponseGenerator) -> Directions:
     return Directions(generator, torch.as_tensor(distribution.factor.copy()))
 
 
-class _CurveModel(Protocol):
-    """The part of an observer from which its directions follow."""
-
-    @property
-    def generator(self) -> ResponseGenerator: ...
-
-    def noise_free(self, ratios: Tensor) -> Tensor: ...
-
-    def misfit(self, curves: Tensor, near: Tensor) -> Callable[[Tensor, Tensor], Tensor]: ...
-
-
-def directions(observer: _CurveModel) -> Directions:
+def directions(observer: CurveObserver | EstimateObserver) -> Directions:
     """Return the directions of the uncertain numbers that affect an observer's curves."""
     every = every_direction(observer.generator)
     if not every.n:
@@ -153,7 +145,9 @@ def directions(observer: _CurveModel) -> Directions:
     return Directions(every.generator, factor, float(effects[-1]))
 
 
-def _jacobian(observer: _CurveModel, every: Directions, ratios: Tensor, standard: Tensor) -> Tensor:
+def _jacobian(
+    observer: CurveObserver | EstimateObserver, every: Directions, ratios: Tensor, standard: Tensor
+) -> Tensor:
     """Return the derivative of the misfit with respect to z, (n, n_names, n_points)."""
     rows = torch.arange(len(ratios))
     vehicles = every.vehicles(ratios, standard)

@@ -12,19 +12,21 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.curves.cross_spectra import CrossSpectra, Method, moving_average_with, sample_spectra
+from suspnet.curves.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
 from suspnet.curves.curves import Directions, directions
 from suspnet.curves.expected_spectra import EstimateMisfit, ExpectedSpectra, bridged, weak_bins
 from suspnet.curves.speeds import Speeds
-from suspnet.curves.welch import Welch
 from suspnet.vehicle import PARAMETERS, ResponseGenerator
 from suspnet.vehicle.track import track_spectrum
+
+if TYPE_CHECKING:  # which creates the observer
+    from suspnet.curves.estimates import EstimateSettings
 
 LEAST_STRENGTH = 10.0
 """Least F statistic of an instrument on a trip (Staiger and Stock, Instrumental variables
@@ -32,41 +34,6 @@ regression with weak instruments, Econometrica, 1997). The vehicle's own wheelba
 which the body is no instrument away from those of the drawing."""
 THINNED_HZ = 0.2
 """Distance of the bins of a search far off, to which neither more bins nor their leakage matter."""
-
-
-class _RecordedTrip(Protocol):
-    """The part of `EstimateSettings` that an observer reads; units and meanings are there.
-
-    The settings create the observer, so the observer cannot import them.
-    """
-
-    @property
-    def speed_m_per_s(self) -> float: ...
-
-    @property
-    def track(self) -> str: ...
-
-    @property
-    def snr_db(self) -> float: ...
-
-    @property
-    def rates_hz(self) -> tuple[float, float, float]: ...
-
-    @property
-    def method(self) -> Method: ...
-
-    @property
-    def segment_s(self) -> float: ...
-
-    @property
-    def welch(self) -> Welch: ...
-
-    @property
-    def n_averages(self) -> float: ...
-
-    def frequencies_hz(self) -> Tensor: ...
-
-    def beyond(self, frequencies_hz: Tensor) -> Tensor: ...
 
 
 class EstimateObserver:
@@ -77,7 +44,7 @@ class EstimateObserver:
     """
 
     def __init__(
-        self, settings: _RecordedTrip, generator: ResponseGenerator, speeds: Speeds | None = None
+        self, settings: EstimateSettings, generator: ResponseGenerator, speeds: Speeds | None = None
     ) -> None:
         self.settings, self.generator, self._speeds = settings, generator, speeds
         self.frequencies_hz = settings.frequencies_hz()

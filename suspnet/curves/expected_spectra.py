@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol, Self
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -24,6 +24,9 @@ from suspnet.ground.tensors import as_tensor, complex_log, squared_size, threads
 from suspnet.ground.types import FloatArray
 from suspnet.vehicle import PARAMETERS, ResponseGenerator
 from suspnet.vehicle.track import TrackSpectrum, acceleration_density
+
+if TYPE_CHECKING:  # it makes the misfits
+    from suspnet.curves.estimate_observer import EstimateObserver
 
 OfFrequencies = Callable[[FloatArray], FloatArray]
 SPEED = len(PARAMETERS)
@@ -153,20 +156,6 @@ def noise_densities(
     return torch.as_tensor(noise)
 
 
-class _EstimateModel(Protocol):
-    """The part of an observer that a misfit to estimates compares them with."""
-
-    @property
-    def frequencies_hz(self) -> Tensor: ...
-
-    @property
-    def correlated_bins(self) -> float: ...
-
-    def noise_free(self, ratios: Tensor) -> Tensor: ...
-
-    def thinned(self) -> Self: ...
-
-
 @dataclass(frozen=True)
 class EstimateMisfit:
     """Complex responses estimated from trips, with the covariance of their logarithms.
@@ -177,7 +166,7 @@ class EstimateMisfit:
     infinite where an estimate is not used; `weight` is that of a bin.
     """
 
-    observer: _EstimateModel
+    observer: EstimateObserver
     observed: Tensor
     covariance: Tensor
     weight: float = 1.0

@@ -9,8 +9,7 @@ from trip_records import trip
 from suspnet.ground.records import Place, by_mileage
 from suspnet.trains.history import History
 from suspnet.trains.maintenance.directions import MOST, Z, direction_errors, opposite_pairs
-from suspnet.trains.maintenance.relative import with_widened
-from suspnet.trains.maintenance.series import Event, make_series, series_of
+from suspnet.trains.maintenance.series import Event, make_series, series_of, with_widened
 
 NOISE = 0.007
 

@@ -17,7 +17,7 @@ from suspnet.runs.tensorboard import RunLog
 from suspnet.trains.history import History
 from suspnet.trains.jobs import fleet
 from suspnet.trains.jobs.fleet import FleetSettings, evaluate_fleet
-from suspnet.trains.maintenance.relative import with_widened
+from suspnet.trains.maintenance.series import with_widened
 from suspnet.trains.pages import report
 from suspnet.trains.pages.board import Board, BoardSettings
 

@@ -5,8 +5,13 @@ import pytest
 import torch
 from reference import complex_normal
 
-from suspnet.trains.spectra.hat_functions import hat_functions
-from suspnet.trains.spectra.noise_subspace import SPACING_HZ, DamperForces, Leakage, trip_noise
+from suspnet.trains.spectra.noise_subspace import (
+    SPACING_HZ,
+    DamperForces,
+    Leakage,
+    hat_functions,
+    trip_noise,
+)
 from suspnet.trains.spectra.subspace import SpectralMatrix
 
 N_FREQ, M, P, N_WHEELS, N_AVERAGES = 200, 6, 3, 4, 60

@@ -16,8 +16,7 @@ from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import DEFAULT_LIMITS
 from suspnet.trains.jobs.fleet import FleetSettings, evaluate_fleet
-from suspnet.trains.maintenance.relative import relative_to_first_healthy
-from suspnet.trains.maintenance.series import series_of
+from suspnet.trains.maintenance.series import relative_to_first_healthy, series_of
 from suspnet.trains.pages.details import healthy_words
 from suspnet.trains.pages.trend import AGAIN_OF_FIRST, health_trend
 from suspnet.trains.trips.commissionings import (

@@ -31,7 +31,7 @@ from suspnet.trains.recordings.frames import MOST_SAMPLES, Frame, encode, end_ns
 from suspnet.trains.recordings.manifest import TripManifest
 from suspnet.trains.recordings.manifest_files import ManifestFile
 from suspnet.trains.recordings.manifest_sources import UNITS
-from suspnet.trains.recordings.sources import open_source, zero_of
+from suspnet.trains.recordings.sources import open_source, recut, zero_of
 from suspnet.trains.trips.grouping import find_groups
 
 log = logging.getLogger(__name__)
@@ -102,7 +102,11 @@ class Replay:
     def _suspension(self, trips: Sequence[TripManifest]) -> Iterator[Frame]:
         numbers: Counter[str] = Counter()
         last_ns: int | None = None
-        for trip in _in_order(trips, self._zone):
+        by_start = all(trip.start is not None for trip in trips)
+        starts = [nanoseconds(trip.start or EPOCH, self._zone) for trip in trips]
+        keys = starts if by_start else [trip.mileage_km for trip in trips]
+        for i in np.argsort(keys, kind="stable"):
+            trip = trips[i]
             try:
                 zero_ns, offsets = trip_clock(trip, self._zone)
                 self.n_trips += 1
@@ -176,13 +180,6 @@ class FrameFiles:
             self._write()
 
 
-def _in_order(trips: Sequence[TripManifest], zone: tzinfo) -> list[TripManifest]:
-    """Return trips by start if all of them have one, else by mileage."""
-    if any(trip.start is None for trip in trips):
-        return sorted(trips, key=lambda trip: trip.mileage_km)
-    return sorted(trips, key=lambda trip: nanoseconds(trip.start or EPOCH, zone))
-
-
 def trip_clock(manifest: TripManifest, zone: tzinfo = UTC) -> tuple[int, Mapping[str, float]]:
     """Return the zero of a trip's clock, and the offset of each sensor's and the speed's times [s].
 
@@ -253,26 +250,12 @@ def _sensor_frames(
         size = max(1, min(MOST_SAMPLES, round(frame_s * rate_hz)))
         whole = chain([first_block], blocks)
         del first_block  # frees as much memory as all else of a sensor takes
-        for at, values in _recut(whole, size):
+        for k, (values,) in enumerate(recut(((block,) for block in whole), size)):
             for start, stop in zip(*runs(~find_gaps(values)), strict=True):
-                time_ns = first_ns + round((at + start) * SECOND_NS / rate_hz)
+                time_ns = first_ns + round((k * size + start) * SECOND_NS / rate_hz)
                 samples = _shortest(factor * values[start:stop])
                 number = _next(numbers, name)
                 yield Frame(suspension, name, number, time_ns, rate_hz, unit, samples)
-
-
-def _recut(blocks: Iterable[FloatArray], size: int) -> Iterator[tuple[int, FloatArray]]:
-    """Yield the start and the samples of pieces of `size` samples; the last one may be shorter."""
-    at, rest = 0, np.empty(0)
-    for block in blocks:
-        rest = np.concatenate([rest, block])
-        del block
-        n_whole = len(rest) - len(rest) % size
-        for start in range(0, n_whole, size):
-            yield at + start, rest[start : start + size]
-        at, rest = at + n_whole, rest[n_whole:]
-    if len(rest):
-        yield at, rest
 
 
 def _shortest(samples: FloatArray) -> FloatArray:

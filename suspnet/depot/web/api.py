@@ -8,8 +8,7 @@ import numpy as np
 from flask import Blueprint, Response, abort
 from werkzeug.exceptions import HTTPException
 
-from suspnet.depot.web.access import identify_program
-from suspnet.depot.web.service import current_refresher, opened_store, stored_trips
+from suspnet.depot.web.access import current_refresher, identify_program, opened_store, stored_trips
 from suspnet.ground.findings import as_plain, together
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, NAMES, part_words
 from suspnet.ground.records import TripResult

@@ -9,8 +9,7 @@ from typing import Any
 
 from flask import Blueprint, Response
 
-from suspnet.depot.web.access import is_admitted
-from suspnet.depot.web.service import current_refresher, opened_store
+from suspnet.depot.web.access import current_refresher, is_admitted, opened_store
 from suspnet.trains.history import HistoryError
 
 health = Blueprint("health", __name__)

@@ -26,8 +26,7 @@ from suspnet.trains.history.schema import trip_key
 from suspnet.trains.maintenance.alarms import Acknowledgement, detector_words, watch
 from suspnet.trains.maintenance.assessment import spoken
 from suspnet.trains.maintenance.change import ChangeSettings
-from suspnet.trains.maintenance.relative import with_widened
-from suspnet.trains.maintenance.series import Event, series_of
+from suspnet.trains.maintenance.series import Event, series_of, with_widened
 from suspnet.trains.maintenance.state import State, with_lives
 from suspnet.trains.pages.details import report_details
 from suspnet.trains.pages.output import (

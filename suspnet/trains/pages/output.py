@@ -25,7 +25,7 @@ from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.trains.maintenance.assessment import overall
 from suspnet.trains.maintenance.life import Life
 from suspnet.trains.maintenance.plan import Plan, joined
-from suspnet.trains.maintenance.relative import relative_to_first_healthy
+from suspnet.trains.maintenance.series import relative_to_first_healthy
 from suspnet.trains.pages import trip_figures
 from suspnet.trains.pages.bogie import bogies_shown
 from suspnet.trains.pages.failing_sensors import LISTED, failing_sensors

@@ -41,13 +41,6 @@ def find_constant(values: FloatArray, longest: int) -> BoolArray:
     return paint(len(values), starts, stops + 1)
 
 
-def find_saturation(values: FloatArray, threshold: float) -> BoolArray:
-    """Return where the magnitude reaches a threshold."""
-    if -threshold < values.min() and values.max() < threshold:
-        return np.zeros(len(values), dtype=np.bool_)
-    return np.asarray(np.abs(values) >= threshold)
-
-
 def find_clipping(values: FloatArray, shortest: int) -> BoolArray:
     """Return runs of at least `shortest` equal values at the extremes of `values`.
 
@@ -306,8 +299,7 @@ class Cleaner:
         if self.range_m_per_s2 is None:
             saturation = find_clipping(filled, SATURATION_SAMPLES) & ~(gap | constant)
         else:
-            threshold = SATURATION_FRACTION * self.range_m_per_s2
-            saturation = find_saturation(filled, threshold) & ~gap
+            saturation = (np.abs(filled) >= SATURATION_FRACTION * self.range_m_per_s2) & ~gap
         short = paint(len(gap), *runs(gap, at_most=GAP_SAMPLES))
         bad = (gap & ~short) | saturation | constant
         masks = {

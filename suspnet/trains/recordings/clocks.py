@@ -23,7 +23,6 @@ from suspnet.trains.recordings.dates import (
     ahead_ns,
     date_problem,
     nanoseconds,
-    read_date,
     time_zone,
 )
 from suspnet.trains.recordings.errors import TripError
@@ -216,11 +215,6 @@ class Times:
                 raise TripError.at(self.where, "zone-for-numbers")
             ahead = self._offset_ns(self.zero.ns, self.source.time_zone)
             self.zero = replace(self.zero, ns=self.zero.ns - ahead, is_zoned=True)
-
-
-def header_date(column: Column) -> datetime | None:
-    """Return the date and time of day in the header of a file; None if it has none."""
-    return read_date(column.date) if column.date else None
 
 
 def first_moment(zeros: Iterable[Zero]) -> tuple[datetime | None, str]:

@@ -12,8 +12,9 @@ import numpy as np
 
 from suspnet.ground.findings import Finding, together
 from suspnet.ground.types import FloatArray
-from suspnet.trains.recordings.clocks import Times, Zero, header_date
+from suspnet.trains.recordings.clocks import Times, Zero
 from suspnet.trains.recordings.columns import BLOCK, Column, OpenFile, agreed_size, choose, size_of
+from suspnet.trains.recordings.dates import read_date
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.formats import open_file, read_columns
 from suspnet.trains.recordings.manifest import TripManifest
@@ -144,6 +145,7 @@ def open_source(manifest: TripManifest, source: FileSource, where: str) -> Itera
             times = Times(where, source, file.column(time), column.start_ns)
         elif source.time_unit is not None or source.time_zone is not None:
             raise TripError.at(where, "time-keys-without-time")
+        date = read_date(column.date) if column.date else None
         yield OpenSource(
             path,
             file,
@@ -151,7 +153,7 @@ def open_source(manifest: TripManifest, source: FileSource, where: str) -> Itera
             factor,
             rate_hz,
             times,
-            Zero(column.start_ns, not column.is_local, is_stated=True, date=header_date(column)),
+            Zero(column.start_ns, not column.is_local, is_stated=True, date=date),
             full_scale,
             together((file.words, words)),
             where,
@@ -243,7 +245,7 @@ class Timeline:
         ``TIMES_TOLERANCE``.
         """
         # blocks of one size: the result must not depend on how the stream is cut
-        for times, values in _recut(blocks):
+        for times, values in recut(blocks, BLOCK):
             before = None if np.isnan(self._last_s) else self._last_s
             check_rising(self.where, times, before)
             if before is None:
@@ -337,18 +339,19 @@ def check_rate(where: str, stated_hz: float | None, times_hz: float) -> None:
         raise TripError.at(where, "rate-differs-from-times", stated_hz=stated_hz, found_hz=times_hz)
 
 
-def _recut(blocks: Iterable[tuple[FloatArray, ...]]) -> Iterator[tuple[FloatArray, ...]]:
+def recut(blocks: Iterable[tuple[FloatArray, ...]], size: int) -> Iterator[tuple[FloatArray, ...]]:
+    """Yield columns in blocks of `size` rows; the last one may be shorter."""
     pending: list[tuple[FloatArray, ...]] = []
     n_pending = 0
     for block in blocks:
         pending.append(block)
         n_pending += len(block[0])
-        if n_pending < BLOCK:
+        if n_pending < size:
             continue
         columns = [np.concatenate(parts) for parts in zip(*pending, strict=True)]
-        whole = n_pending - n_pending % BLOCK
-        for start in range(0, whole, BLOCK):
-            yield tuple(column[start : start + BLOCK] for column in columns)
+        whole = n_pending - n_pending % size
+        for start in range(0, whole, size):
+            yield tuple(column[start : start + size] for column in columns)
         pending, n_pending = [tuple(column[whole:] for column in columns)], n_pending - whole
     if n_pending:
         yield tuple(np.concatenate(parts) for parts in zip(*pending, strict=True))

@@ -276,7 +276,8 @@ def _peaks(windows: _Windows | None) -> list[_Peak]:
 
     def rise_of(rows: IntArray) -> FloatArray:
         """Return the mean height over the higher side, so that a step of the track is no line."""
-        return np.minimum(*(_mean(side, valid, rows) for side in sides))
+        means = (np.ma.array(side[rows], mask=~valid[rows]).mean(axis=0) for side in sides)
+        return np.asarray(np.minimum(*(mean.filled(np.nan) for mean in means)))
 
     n, rows = valid.sum(axis=0), np.arange(len(logs))
     rise, rises = rise_of(rows), [rise_of(stretch) for stretch in np.array_split(rows, STRETCHES)]
@@ -299,10 +300,3 @@ def _peak(windows: _Windows, used: BoolArray, k: int, certainty: float) -> _Peak
     weights = np.where(away < NEAR_BINS, np.maximum(above, 1e-9 * level), 0.0)
     place, speed = np.average(windows.per_m, weights=weights), windows.speeds[used].mean()
     return _Peak(float(place), certainty, float(above.sum() / WINDOW_M), level, float(speed))
-
-
-def _mean(values: FloatArray, valid: BoolArray, rows: IntArray) -> FloatArray:
-    chosen = valid[rows]
-    n = chosen.sum(axis=0)
-    total = np.where(chosen, values[rows], 0.0).sum(axis=0)
-    return np.asarray(np.divide(total, n, out=np.full(len(n), np.nan), where=n > 0))
