@@ -399,7 +399,10 @@ def _bogie_json(bogie: CommissionedBogie) -> dict[str, Any]:
 
 
 def _bogie(content: dict[str, Any], device: str) -> CommissionedBogie:
-    law, errors, scatter = content["law"], content["errors"], content["scatter"]
+    law, errors = content["law"], content["errors"]
+    scatter = content["scatter"] and _with_tuples(content["scatter"])
+    if scatter is not None:
+        scatter["noise"] = tuple(map(tuple, scatter["noise"]))
     loads_m = content["loads_m"]
     generator = _with_tuples(content["generator"])
     generator |= {"vehicle": Vehicle(**generator["vehicle"]), "device": device}
@@ -411,13 +414,9 @@ def _bogie(content: dict[str, Any], device: str) -> CommissionedBogie:
         content["converged"],
         None if law is None else SuspensionLaw(**law),
         None if errors is None else torch.tensor(errors, dtype=torch.float64),
-        None if scatter is None else _scatter(scatter),
+        None if scatter is None else HealthyScatter(**scatter),
         None if loads_m is None else np.array(loads_m, dtype=np.float64),
     )
-
-
-def _scatter(content: dict[str, Any]) -> HealthyScatter:
-    return HealthyScatter(**_with_tuples(content) | {"noise": tuple(map(tuple, content["noise"]))})
 
 
 def _scaling_json(names: tuple[str, ...], scaling: Scaling | None) -> dict[str, Any]:

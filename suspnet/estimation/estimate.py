@@ -13,6 +13,7 @@ from scipy import stats
 
 from suspnet.ground.findings import together
 from suspnet.ground.parameters import UNITS, kind_of
+from suspnet.ground.records import interval_ends
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.vehicle import PARAMETERS, ResponseGenerator, SpatialVehicle
@@ -86,8 +87,7 @@ class Estimate:
         return self._with_half_widths(factor * self.half_widths)
 
     def _with_half_widths(self, half: FloatArray) -> Estimate:
-        with np.errstate(over="ignore"):  # a half width without information gives 0 to infinity
-            low, high = self.values * np.exp(-half), self.values * np.exp(half)
+        low, high = interval_ends(self.values, half)
         return replace(self, low=low, high=high)
 
     @property
@@ -217,8 +217,7 @@ class HealthyValues:
         """
         values = ratios * self.values
         half = np.hypot(half_widths, self.half_widths(level))
-        with np.errstate(over="ignore"):  # infinite half widths give 0 to infinity
-            return values, values * np.exp(-half), values * np.exp(half)
+        return values, *interval_ends(values, half)
 
 
 @dataclass(frozen=True)

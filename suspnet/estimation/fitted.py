@@ -121,11 +121,6 @@ class FittedMethod(Model):
         """Whether residuals are those of logarithms."""
         return self.output_scaling is None or self.output_scaling.log
 
-    @property
-    def outputs(self) -> tuple[str, ...]:
-        """What is estimated."""
-        return self.task.outputs
-
     @cached_property
     def healthy(self) -> HealthyValues:
         """Values of the healthy vehicle in SI units, which estimates are relative to."""

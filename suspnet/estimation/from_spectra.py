@@ -38,6 +38,7 @@ from suspnet.estimation.from_curves import ONE_SIGMA, corrected, residual_scales
 from suspnet.estimation.intervals import LARGEST_MISFIT
 from suspnet.estimation.refine import Refined, complete_ratios, refine
 from suspnet.ground.findings import Finding
+from suspnet.ground.records import interval_ends
 from suspnet.ground.types import FloatArray
 from suspnet.vehicle.quantities import FAILED_DEVIATION, FAILED_OTHER, OF_THE_TRIP
 from suspnet.vehicle.vertical_vehicle import VerticalVehicle
@@ -161,8 +162,7 @@ def _estimate(
     level: float,
     flags: Flags | None = None,
 ) -> Estimate:
-    with np.errstate(over="ignore"):  # infinite half widths give 0 to infinity
-        low, high = values * np.exp(-half_widths), values * np.exp(half_widths)
+    low, high = interval_ends(values, half_widths)
     rows = values[None], low[None], high[None]
     return Estimate(method.task.outputs, *rows, level, flags or Flags.none(1), method.healthy)
 

@@ -28,6 +28,15 @@ INTERVAL_LEVEL = 0.9
 """Probability of the intervals of trips, unless a setting names another one."""
 
 
+def interval_ends(values: Any, half_widths: Any) -> tuple[Any, Any]:
+    """Return the ends of intervals with half widths in logarithms, 0 and infinity of infinite ones.
+
+    Both arguments are numbers or arrays of the same shape.
+    """
+    with np.errstate(over="ignore"):
+        return values * np.exp(-half_widths), values * np.exp(half_widths)
+
+
 @dataclass(frozen=True, order=True)
 class Place:
     """Location of a suspension; fields are empty if the manifest does not give them.
@@ -212,8 +221,8 @@ class TripResult:
     def interval(self, name: str) -> tuple[float, float]:
         """Return lower and upper end of a parameter's interval, [-]; NaN if there is none."""
         value, half = (part.get(name, np.nan) for part in (self.estimates, self.half_widths))
-        with np.errstate(over="ignore"):  # a half-width without information gives 0 to infinity
-            return float(value * np.exp(-half)), float(value * np.exp(half))
+        low, high = interval_ends(value, half)
+        return float(low), float(high)
 
     def si(self, name: str) -> tuple[float, float, float]:
         """Return a parameter and the ends of its interval in SI units; NaN if there is none.
@@ -224,8 +233,8 @@ class TripResult:
         half = np.hypot(
             self.half_widths.get(name, np.nan), self.healthy_half_widths.get(name, np.nan)
         )
-        with np.errstate(over="ignore"):
-            return float(value), float(value * np.exp(-half)), float(value * np.exp(half))
+        low, high = interval_ends(value, half)
+        return float(value), float(low), float(high)
 
     def row(self, outputs: tuple[str, ...]) -> dict[str, Any]:
         """Return the trip as a flat row of a table, with the same columns for every trip."""

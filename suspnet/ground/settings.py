@@ -5,6 +5,7 @@ The comments in configs/, which `--help` shows, are made from these by a script.
 
 import functools
 import math
+import operator
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from numbers import Integral, Real
@@ -144,10 +145,14 @@ def check_number(
     """
     if optional and value is None:
         return
-    bounds = {">=": low, ">": above, "<=": high, "<": below}
-    stated = " and ".join(
-        f"{sign} {bound:g}" for sign, bound in bounds.items() if bound is not None
+    comparisons = (
+        (">=", operator.ge, low),
+        (">", operator.gt, above),
+        ("<=", operator.le, high),
+        ("<", operator.lt, below),
     )
+    given = [(sign, compare, bound) for sign, compare, bound in comparisons if bound is not None]
+    stated = " and ".join(f"{sign} {bound:g}" for sign, _, bound in given)
     rule = f"{'a whole' if whole else 'a finite'} number {stated}".strip() + " or null" * optional
     if isinstance(value, bool) or not isinstance(value, Integral if whole else Real):
         raise TypeError(f"`{name}` must be {rule}, got {value!r}")
@@ -157,14 +162,8 @@ def check_number(
         number = math.inf
     if most < abs(number) < math.inf:
         raise ValueError(f"`{name}` must be at most {most:g} in magnitude, got {value}")
-    inside = (
-        math.isfinite(number)
-        and (low is None or number >= low)
-        and (above is None or number > above)
-        and (high is None or number <= high)
-        and (below is None or number < below)
-    )
-    if not inside:
+    is_inside = all(compare(number, bound) for _, compare, bound in given)
+    if not math.isfinite(number) or not is_inside:
         raise ValueError(f"`{name}` must be {rule}, got {value}")
 
 

@@ -4,8 +4,6 @@ The test curves come with the Cramer-Rao bound of their outputs, so that a file 
 rms error of a method over the bound is 1 at best, whatever it learns from.
 """
 
-from __future__ import annotations
-
 import io
 import json
 from dataclasses import dataclass, fields, replace

@@ -1,7 +1,5 @@
 """Score a trained model on fresh curves."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Symbols and texts of figures, and figures as images in the language of the reader."""
 
-from __future__ import annotations
-
 import base64
 import io
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Fit a method to a problem: data, scaling, tuning, progress."""
 
-from __future__ import annotations
-
 import logging
 import math
 import time

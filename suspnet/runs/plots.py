@@ -1,7 +1,5 @@
 """Figures of curves, features, predictions and comparisons; each function returns a new Figure."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Estimates for the curves of a problem, and the calibration of intervals and flags on them."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace

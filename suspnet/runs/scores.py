@@ -1,7 +1,5 @@
 """The scores of one run next to the Cramer-Rao bound, as a table and as figures."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """What is written at the end of a multirun: tables, figures, override files."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Tables of scores as records, Markdown and CSV, Table VI first, and the files of a study."""
 
-from __future__ import annotations
-
 import csv
 import io
 import logging

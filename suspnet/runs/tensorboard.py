@@ -1,7 +1,5 @@
 """TensorBoard: scalars of each iteration, hyperparameters, figures, the configuration as text."""
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Collection, Mapping
@@ -72,10 +70,6 @@ class RunLog:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Write the remaining events."""
         self._writer.close()
 
     def scalars(self, prefix: str, values: Mapping[str, float], step: int) -> None:

@@ -1,7 +1,5 @@
 """Train: from a problem and a method to a run folder with scores, model, figures and logs."""
 
-from __future__ import annotations
-
 import logging
 import os
 import platform

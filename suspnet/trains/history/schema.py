@@ -5,8 +5,6 @@ was stored without its start is replaced once that is known. NaN is stored as NU
 a view of the whole fleet come first, because SQLite reads a row only up to the last one needed.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import logging

@@ -1,7 +1,5 @@
 """Commission the vehicle that a folder of healthy trips shows."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Rigs from folders of records: commissioning, later records, tables and what is printed."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Alarms that the trips of a suspension raise, and their acknowledgement by people."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -11,6 +9,7 @@ import numpy as np
 
 from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import BODY_MASS, Cause, Limits, Severity
+from suspnet.ground.records import interval_ends
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.trains.maintenance.change import Change, Changes, ChangeSettings, find_changes
 from suspnet.trains.maintenance.judge import beyond_words, judge, level_words
@@ -198,8 +197,7 @@ def _limit_alarms(name: str, era: Series, limits: Limits | None) -> list[Alarm]:
         return []
     # judge each trip together with those just before it
     km, centre, doubtful = era.mileage_km[done], era.estimates[name][done], era.flagged[done]
-    with np.errstate(over="ignore"):
-        low, high = (centre * np.exp(sign * era.half_widths[name][done]) for sign in (-1, 1))
+    low, high = interval_ends(centre, era.half_widths[name][done])
     last, lowest, highest = (_windows(column, np.nan) for column in (centre, low, high))
     judged = judge(last, lowest, highest, _windows(doubtful, False), limits)
     severity, newest = judged.severity, len(done) - 1

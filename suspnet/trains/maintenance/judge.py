@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from suspnet.ground.findings import Finding, percent
 from suspnet.ground.parameters import Limits, Severity
+from suspnet.ground.records import interval_ends
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.trains.maintenance.series import N_LAST, Series
 
@@ -155,10 +156,8 @@ def last_trips(series: Series, name: str) -> LastTrips:
     done = np.flatnonzero(np.isfinite(series.mileage_km) & np.isfinite(series.estimates[name]))
     last = done[-N_LAST:]
     centre, half = series.estimates[name][last], series.half_widths[name][last]
-    with np.errstate(over="ignore"):  # a half-width without information gives 0 to infinity
-        low, high = centre * np.exp(-half), centre * np.exp(half)
     all_flagged = bool(len(done)) and bool(series.flagged[done].all())
-    return LastTrips(centre, low, high, series.flagged[last], all_flagged)
+    return LastTrips(centre, *interval_ends(centre, half), series.flagged[last], all_flagged)
 
 
 def judge_last(last: LastTrips, limits: Limits | None) -> tuple[Severity, Judged | None]:

@@ -1,7 +1,5 @@
 """A bogie from above: what is known of each of its twelve parts, for the macros of bogie.html."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace

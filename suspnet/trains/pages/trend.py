@@ -10,7 +10,13 @@ from matplotlib.figure import Figure
 
 from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, Severity
-from suspnet.ground.records import INTERVAL_LEVEL, Commissioning, TripResult, by_mileage
+from suspnet.ground.records import (
+    INTERVAL_LEVEL,
+    Commissioning,
+    TripResult,
+    by_mileage,
+    interval_ends,
+)
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.runs.figures import MILEAGE_LABEL, SYMBOLS, say
 from suspnet.trains.maintenance.alarms import Alarm
@@ -113,8 +119,7 @@ def trend_of_state(state: State) -> MileageTrend:
     panels = []
     for name in (name for name in series.outputs if name != BODY_MASS):
         values, half = series.estimates[name][placed], series.half_widths[name][placed]
-        with np.errstate(over="ignore"):
-            intervals = np.stack([values * np.exp(-half), values * np.exp(half)], axis=1)
+        intervals = np.stack(interval_ends(values, half), axis=1)
         panels.append(_panel(name, state, km, values, intervals, flagged))
     since_km = series.healthy_since_km
     again_km = tuple(np.unique(since_km[np.isfinite(since_km)])[1:].tolist())

@@ -13,7 +13,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from suspnet.ground.findings import Finding, together
-from suspnet.ground.records import Overview, TripCurves, TripResult
+from suspnet.ground.records import Overview, TripCurves, TripResult, interval_ends
 from suspnet.ground.types import FloatArray
 from suspnet.runs.figures import MILEAGE_LABEL, SUSPENSIONS, say
 
@@ -126,4 +126,5 @@ def band(magnitudes: FloatArray, deviations: FloatArray) -> tuple[FloatArray, Fl
     """
     finite = np.where(np.isfinite(deviations), deviations, np.nan)
     half = np.minimum(BAND * finite, LARGEST_BAND)
-    return magnitudes * np.exp(-half), magnitudes * np.exp(half)
+    low, high = interval_ends(magnitudes, half)
+    return low, high

@@ -103,8 +103,7 @@ def _pair(value: Value, places: Sequence[int], both: Sequence[SensorSource]) -> 
 
 def _channels(value: Value) -> dict[str, SensorSource | Several]:
     """Return the sensors of each channel; one without any at axle 1 if the parts can be read."""
-    key = ManifestKey(_sensors, "", "", default="")
-    channels: dict[str, SensorSource | Several] = value.read(dict.fromkeys(CHANNELS, key))
+    channels = check.mapping_from(CHANNELS, _sensors, default="")(value)
     several = {name: _as_several(sources) for name, sources in channels.items()}
     if sum(map(len, several.values())) < LEAST_SENSORS:
         all_of(partial(_check_first_axle, value.at(name), several.get(name)) for name in CHANNELS)
@@ -127,10 +126,6 @@ def _mileage(value: Value) -> float:
     if mileage > HIGHEST_KM:
         raise value.refuse(Finding("mileage-rule", highest_km=HIGHEST_KM))
     return mileage
-
-
-def _truth(value: Value) -> dict[str, float]:
-    return value.read(dict.fromkeys(ESTIMATED, ManifestKey(check.positive, "", "", default="")))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -223,7 +218,7 @@ class TripManifest:
     truth: dict[str, float] = field(
         default_factory=dict,
         metadata=key(
-            _truth,
+            check.mapping_from(ESTIMATED, check.positive, default=""),
             "mapping of numbers above 0",
             "of simulated trips: true `k_p`, `c_p`, `k_s`, `c_s`, `M_s`; errors are printed",
             "healthy = 1",
@@ -294,12 +289,6 @@ MANIFEST = {"format": ManifestKey(check.one_of([FORMAT]), "text", f"`{FORMAT}`")
 """All keys of a manifest, by name."""
 
 
-def _rig_channels(value: Value) -> dict[str, SensorSource]:
-    return value.read(
-        dict.fromkeys(RIG_CHANNELS, ManifestKey(check.mapping_of(SensorSource), "", ""))
-    )
-
-
 @dataclass(frozen=True, kw_only=True)
 class RecordManifest(TripManifest):
     """One record of a rig, which stands: its `channels` are a sensor for each ``RIG_CHANNELS``."""
@@ -315,7 +304,9 @@ RECORD = {
     "format": ManifestKey(check.one_of([RECORD_FORMAT]), "text", f"`{RECORD_FORMAT}`"),
     "vehicle": ManifestKey(check.name, NAME, "name of the rig, as the model's"),
     "channels": ManifestKey(
-        _rig_channels, "mapping", "`base`, `frame` and `body`: the source of each"
+        check.mapping_from(RIG_CHANNELS, check.mapping_of(SensorSource)),
+        "mapping",
+        "`base`, `frame` and `body`: the source of each",
     ),
 } | {name: MANIFEST[name] for name in _SHARED}
 """All keys of the manifest of a record, by name."""

@@ -196,6 +196,14 @@ def mapping_of(kind: type[Kind]) -> Callable[[Value], Kind]:
     return lambda value: kind(**value.read(keys_of(kind)))
 
 
+def mapping_from(
+    names: Sequence[str], check: Callable[[Value], Kind], default: str = "-"
+) -> Callable[[Value], dict[str, Kind]]:
+    """Return a check for a mapping from these names, each of which has the same check."""
+    key = ManifestKey(check, "", "", default=default)
+    return lambda value: value.read(dict.fromkeys(names, key))
+
+
 def start(value: Value) -> datetime:
     """Return the start of a trip from text, or from the datetime of a manifest to be written."""
     content = value.content

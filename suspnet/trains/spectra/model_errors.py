@@ -16,8 +16,6 @@ bins of all trips; N' on the left is that of the round before. ``CERTAIN`` stand
 noise alone gives are taken off, so that a vehicle that explains its trips has no errors.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol

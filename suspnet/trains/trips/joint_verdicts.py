@@ -1,7 +1,5 @@
 """What several trips in a row name as worn, where the last one alone does not."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

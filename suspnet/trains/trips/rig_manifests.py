@@ -1,7 +1,5 @@
 """Manifests of a rig's records, made of those that a folder's files would have as trips."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 

@@ -158,7 +158,9 @@ def outcome_of(
     if isinstance(estimate, NoEstimateError):
         outcome = {"status": NO_ESTIMATE, "reason": str(estimate)}
     else:
-        outcome, misfit, lost = _of_estimate(estimate), estimate.misfit, _without(estimate)
+        outcome, misfit = _of_estimate(estimate), estimate.misfit
+        if names := estimate.lost:
+            lost = Finding(WITHOUT_SENSORS, names=names, listed=together(names, ", "))
     warnings = together((*shown.doubts, lost))
     return outcome | {
         "start": start,
@@ -184,13 +186,6 @@ def _of_estimate(estimate: Estimate) -> dict[str, Any]:
         "flags": estimate.flags.reasons[0],
         "worn": estimate.found,
     }
-
-
-def _without(estimate: Estimate) -> str:
-    """Return a warning if some sensors were not used; else empty."""
-    if not estimate.lost:
-        return ""
-    return Finding(WITHOUT_SENSORS, names=estimate.lost, listed=together(estimate.lost, ", "))
 
 
 def _welch(model: Model) -> Welch:
