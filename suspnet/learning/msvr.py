@@ -10,7 +10,6 @@ import torch
 from numpy.typing import ArrayLike
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_random_state
-from sklearn.utils.validation import validate_data
 from torch import Tensor
 
 from suspnet.ground.settings import check_number, check_settings, setting
@@ -158,11 +157,8 @@ class MSVR(Regressor):
         """Fit to samples (n_samples, n_inputs) and outputs (n_samples,) or (.., n_outputs)."""
         self.check_parameters()
         check_device(self.device)
-        X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)
-        samples = as_tensor(X).to(self.device)
-        targets = as_tensor(y).to(self.device)
-        self._single_output = targets.ndim == 1
-        targets = targets[:, None] if self._single_output else targets
+        inputs, outputs = self._training_data(X, y)
+        samples, targets = (as_tensor(part).to(self.device) for part in (inputs, outputs))
         if self.feature_map == "exact" and len(samples) > MOST_EXACT:
             warnings.warn(
                 f"feature_map='exact' takes {2 * 8e-9 * len(samples) ** 2:.1f} GB and more for "

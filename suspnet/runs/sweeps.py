@@ -162,11 +162,10 @@ def write_table6(runs: Sequence[Run], folder: Path, note: str = "") -> None:
         name: [r for r in records if r["protocol"] == name]
         for name in dict.fromkeys(r["protocol"] for r in records)
     }
-    text = "\n".join(
-        f"{table6_markdown(part)}\n\n{table6_caption(part)}\n" for part in by_protocol.values()
-    )
-    short = "\n".join(
-        f"{table6_short(part)}\n\n{table6_caption(part)}\n" for part in by_protocol.values()
+    parts = by_protocol.values()
+    text, short = (
+        "\n".join(f"{table(part)}\n\n{table6_caption(part)}\n" for part in parts)
+        for table in (table6_markdown, table6_short)
     )
     text += f"{note}\n" if note else ""
     short += fill(note, MOST_COLUMNS)

@@ -300,14 +300,12 @@ def _write_fleet_page(rows: Sequence[Mapping[str, Any]], output: Path, **values:
 
 
 def _life_row(life: Life | None) -> dict[str, Any] | None:
-    """Return a remaining life for JSON, null for an infinite one."""
+    """Return a remaining life for JSON, which writes an infinite one as null."""
     if life is None:
         return None
-    ends = dict(zip(("low", "high"), life.interval_km(), strict=True))
-    ends["median"] = life.quantile_km(0.5)
-    return {"model": life.model} | {
-        f"{name}_km": km if np.isfinite(km) else None for name, km in ends.items()
-    }
+    low, high = life.interval_km()
+    ends = {"low_km": low, "high_km": high, "median_km": life.quantile_km(0.5)}
+    return {"model": life.model, **ends}
 
 
 def _alarm_row(alarm: Alarm, seen: Sequence[Acknowledgement]) -> dict[str, Any]:
@@ -315,6 +313,5 @@ def _alarm_row(alarm: Alarm, seen: Sequence[Acknowledgement]) -> dict[str, Any]:
     by = newest_of(alarm, seen)
     return asdict(alarm) | {
         "severity": str(alarm.severity),
-        "end_km": None if alarm.is_open else alarm.end_km,
         "seen_by": by.by if by else "",
     }
