@@ -147,10 +147,10 @@ def test_a_new_trip_is_computed_for_its_suspension_alone(store, board, monkeypat
 
 def test_a_long_refresh_shows_more_and_more(store, monkeypatch):
     monkeypatch.setattr(module, "AT_ONCE", 1)
-    board, seen, view_of = Board(store, SETTINGS), [], module.fleet_view
+    board, seen, view_of = Board(store, SETTINGS), [], module.FleetView
     assert (board.view.version, board.view.is_complete) == (0, False)
     monkeypatch.setattr(
-        module, "fleet_view", lambda *args, **kw: seen.append(view_of(*args, **kw)) or seen[-1]
+        module, "FleetView", lambda **values: seen.append(view_of(**values)) or seen[-1]
     )
     board.refresh()
     assert [view.is_complete for view in seen] == [False, False, True]

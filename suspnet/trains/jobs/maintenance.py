@@ -10,7 +10,7 @@ from suspnet.trains.maintenance.state import State, fleet_state
 from suspnet.trains.pages.board import BoardSettings
 from suspnet.trains.pages.maintenance_figures import plan_calendar
 from suspnet.trains.pages.output import write_fleet
-from suspnet.trains.pages.overview import fleet_view, overview_table
+from suspnet.trains.pages.overview import FleetView, overview_table
 
 log = logging.getLogger(__name__)
 
@@ -37,7 +37,7 @@ def write_maintenance(history: History, folder: Path, settings: BoardSettings) -
     history.keep_all_alarms({state.key: state.watched.alarms for state in states})
     acknowledged = history.all_acknowledgements()
     planned = plan_of(states, settings.plan, settings.day())
-    view = fleet_view(states, acknowledged, planned)
+    view = FleetView(states=tuple(states), plan=planned, acknowledged=acknowledged)
     write_fleet(view, planned, plan_calendar(planned), folder)
     log.info("%s\n\n%s\n-> %s", overview_table(view.rows), planned.summary, folder)
     return states

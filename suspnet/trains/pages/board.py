@@ -19,7 +19,7 @@ from suspnet.trains.maintenance.plan import Plan, PlanSettings, plan_of
 from suspnet.trains.maintenance.series import Series
 from suspnet.trains.maintenance.state import KeptState, State, by_urgency, state_of
 from suspnet.trains.pages.kept import keep_states, kept_states
-from suspnet.trains.pages.overview import FleetView, fleet_view
+from suspnet.trains.pages.overview import FleetView
 
 log = logging.getLogger(__name__)
 LOOK_S = 1.0  # timeout for a lock of the store by other programs
@@ -229,14 +229,14 @@ class Board:
         self, history: History, states: Sequence[State], waiting: Collection[Key] = ()
     ) -> None:
         """Show states, among which those of `waiting` suspensions are not current."""
-        self._view = fleet_view(
-            states,
-            history.all_acknowledgements(),
-            self._plan,
+        self._view = FleetView(
             version=self._view.version + 1,
+            states=tuple(states),
+            plan=self._plan,
+            acknowledged=history.all_acknowledgements(),
             is_complete=not waiting,
-            waiting=waiting,
-            bad_rows=history.bad_rows,
+            n_waiting=len(waiting),
+            bad_rows=tuple(history.bad_rows),
         )
 
 

@@ -1,6 +1,6 @@
 """The suspensions of a fleet or folder: their rows, the worst first, and sentences on all."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, field
 from datetime import UTC, datetime
 from types import MappingProxyType
@@ -78,15 +78,21 @@ class FleetView:
     version: int = 0
     at: datetime = field(default_factory=lambda: datetime.now(UTC))
     states: tuple[State, ...] = ()
-    rows: list[dict[str, Any]] = field(default_factory=list)
     plan: Plan | None = None
-    names: tuple[str, ...] = ()
-    keys: dict[str, int] = field(default_factory=dict)
     acknowledged: Mapping[Key, Sequence[Acknowledgement]] = field(default_factory=dict)
     is_complete: bool = False
     n_waiting: int = 0
     trouble: str = ""
     bad_rows: tuple[BadRow, ...] = ()
+    rows: list[dict[str, Any]] = field(init=False)
+    names: tuple[str, ...] = field(init=False)
+    keys: dict[str, int] = field(init=False)
+
+    def __post_init__(self) -> None:
+        rows = [overview_row(state, self.acknowledged) for state in self.states]
+        names = tuple(address(state.key) for state in self.states)
+        keys = {name: i for i, name in enumerate(names)}
+        self.__dict__.update(rows=rows, names=names, keys=keys)  # as frozen fields
 
     @property
     def entries(self) -> list[tuple[str, str, State]]:
@@ -95,32 +101,6 @@ class FleetView:
             (row["where"], name, state)
             for row, name, state in zip(self.rows, self.names, self.states, strict=True)
         ]
-
-
-def fleet_view(
-    states: Sequence[State],
-    acknowledged: Mapping[Key, Sequence[Acknowledgement]],
-    plan: Plan | None,
-    *,
-    version: int = 1,
-    is_complete: bool = True,
-    waiting: Collection[Key] = (),
-    bad_rows: Sequence[BadRow] = (),
-) -> FleetView:
-    """Return the view of a fleet; `states` come with the most severe first."""
-    names = tuple(address(state.key) for state in states)
-    return FleetView(
-        version=version,
-        states=tuple(states),
-        rows=[overview_row(state, acknowledged) for state in states],
-        plan=plan,
-        names=names,
-        keys={name: i for i, name in enumerate(names)},
-        acknowledged=acknowledged,
-        is_complete=is_complete,
-        n_waiting=len(waiting),
-        bad_rows=tuple(bad_rows),
-    )
 
 
 def address(key: Key) -> str:
