@@ -3,11 +3,11 @@
 Nothing is imported here that takes time: a program is imported when it is started.
 """
 
-import os
 import sys
 from difflib import get_close_matches
 
 from suspnet._version import __version__
+from suspnet.cli.signals import output_ended
 from suspnet.cli.start import PROGRAMS, start
 
 MEANINGS = {
@@ -61,5 +61,4 @@ def _print(text: str) -> None:
     try:
         print(text, flush=True)
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(141)
+        sys.exit(output_ended())

@@ -169,19 +169,13 @@ def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
         print(f"{verb}: nothing was half-written; {how}", file=sys.stderr)
         sys.exit(code)
     except BrokenPipeError:
-        sys.exit(_output_ended())
+        sys.exit(signals.output_ended())
     except MISTAKES as error:
         if is_debugging:
             raise
         sys.exit(one_line(error))
     except (LostWorkerError, BrokenProcessPool) as error:
         sys.exit(f"{one_line(error)}; {folders.how_to_resume()}")
-
-
-def _output_ended() -> int:
-    """Silence standard output, whose reader has ended; return the exit code of SIGPIPE."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return 141
 
 
 @contextmanager
@@ -245,7 +239,7 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
             with _progress(), named_extras():
                 return function(config)
         except BrokenPipeError:
-            raise SystemExit(_output_ended()) from None
+            raise SystemExit(signals.output_ended()) from None
         except Exception as error:
             if is_debugging or not (isinstance(error, MISTAKES) or folders.is_job()):
                 raise

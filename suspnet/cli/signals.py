@@ -1,28 +1,21 @@
 """Signals that end a program: at once as long as nothing has begun, later in one line."""
 
+import os
 import signal
+import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
+from typing import Any
 
 VERBS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 """Verb of the line that a program prints when a signal ends it."""
 SIGNALS = tuple(VERBS)
 
 
-@contextmanager
-def until_it_listens() -> Iterator[None]:
+def until_it_listens() -> AbstractContextManager[None]:
     """Let a signal end the process at once, unless other threads or programs handle signals."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {number: signal.getsignal(number) for number in SIGNALS}
-    end_at_once()
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    return _handled_by(signal.SIG_DFL, *SIGNALS)
 
 
 def end_at_once() -> None:
@@ -35,19 +28,31 @@ class Terminated(BaseException):
     """SIGTERM was received."""
 
 
-@contextmanager
-def terminable() -> Iterator[None]:
+def terminable() -> AbstractContextManager[None]:
     """Make SIGTERM unwind the program as Ctrl-C does; a second one ends it at once."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
 
     def terminate(number: int, frame: object) -> None:
         signal.signal(number, signal.SIG_DFL)
         raise Terminated
 
-    before = signal.signal(signal.SIGTERM, terminate)
+    return _handled_by(terminate, signal.SIGTERM)
+
+
+@contextmanager
+def _handled_by(handler: Any, *numbers: signal.Signals) -> Iterator[None]:
+    """Let `handler` take some signals, unless this is not the main thread, which alone can."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, handler) for number in numbers}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, former in before.items():
+            signal.signal(number, former)
+
+
+def output_ended() -> int:
+    """Silence standard output, whose reader has ended; return the exit code of SIGPIPE."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 141

@@ -180,7 +180,7 @@ def _described(model: Model) -> dict[str, Any]:
         "training": model.training,
     }
     if isinstance(model, BogieModel):
-        description |= {"bogie": _bogie_json(model.bogie)}
+        description |= {"bogie": asdict(model.bogie)}
     else:
         assert isinstance(model, TrainedModel)
         description |= _method_json(model)
@@ -382,20 +382,6 @@ def _untagged(content: Mapping[str, Any], kinds: Mapping[str, type]) -> Any:
 
 def _with_tuples(content: Mapping[str, Any]) -> dict[str, Any]:
     return {key: tuple(v) if isinstance(v, list) else v for key, v in content.items()}
-
-
-def _bogie_json(bogie: CommissionedBogie) -> dict[str, Any]:
-    """Return what asdict would but for tensors, which it keeps whole."""
-    others = {name: getattr(bogie, name) for name in ("masses", "misfit", "converged")}
-    law = bogie.law and asdict(bogie.law)
-    return others | {
-        "generator": asdict(bogie.generator),
-        "noise": bogie.noise.numpy(),
-        "law": law,
-        "errors": None if bogie.errors is None else bogie.errors.numpy(),
-        "scatter": bogie.scatter and asdict(bogie.scatter),
-        "loads_m": bogie.loads_m,
-    }
 
 
 def _bogie(content: dict[str, Any], device: str) -> CommissionedBogie:

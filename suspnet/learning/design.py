@@ -279,8 +279,7 @@ class NewtonGram:
         for j in range(n_outputs):
             matrix[j, :, j, :].diagonal()[:n_features] += 1
         size = n_free * n_outputs
-        name, advice = "system of Newton's method", "lower C, or scale the outputs"
-        factor = cholesky(matrix.reshape(size, size), name, advice)
+        factor = cholesky(matrix.reshape(size, size), "system of Newton's method")
         flat = cholesky_solve(right.T.reshape(size, 1), factor)
         solution = torch.zeros(n, n_outputs).to(right)
         solution[:n_free] = flat.reshape(n_outputs, n_free).T
@@ -305,12 +304,11 @@ def _centred_factor(gram: Gram, scale: float, fit_intercept: bool) -> tuple[Tens
         sums, weight_sum = scale * gram.sums, scale * gram.weight_sum
         matrix.addr_(sums, sums, alpha=-1 / weight_sum)
     matrix.diagonal().add_(1.0)
-    advice = "lower C, or scale the outputs"
     name = f"system of IRWLS with weights of total {scale * gram.weight_sum:.1e}"
-    return sums, weight_sum, cholesky(matrix, name, advice)
+    return sums, weight_sum, cholesky(matrix, name)
 
 
-def cholesky(matrix: Tensor, name: str, advice: str) -> Tensor:
+def cholesky(matrix: Tensor, name: str, advice: str = "lower C, or scale the outputs") -> Tensor:
     """Return the Cholesky factor of a matrix; ValueError with advice if it is singular."""
     factor: Tensor
     factor, info = torch.linalg.cholesky_ex(matrix)

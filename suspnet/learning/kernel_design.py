@@ -18,8 +18,6 @@ from suspnet.learning.design import Coefficients, Columns, Design, Gradient, cho
 from suspnet.learning.feature_maps import KernelColumns, generator, partial_cholesky
 from suspnet.learning.irwls import IRWLS
 
-ADVICE = "lower C, or scale the outputs"
-"""What to do where a system is singular to working precision."""
 Solve = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 """Function that returns eta and db from the right-hand side and the sum of eta."""
 LARGEST_RANK, LOW_RANK_ERROR = 0.25, 0.1
@@ -50,7 +48,7 @@ class KernelDesign(Design):
         self.n_samples = len(X)
         self.n_features = 2 * len(X)
         self._rows = X.new_empty(len(X), len(X))
-        self._every = torch.arange(len(X), device=X.device)
+        self.every = torch.arange(len(X), device=X.device)
         self._is_known = torch.zeros(len(X), dtype=torch.bool, device=X.device)
 
     def rows(self, rows: Tensor) -> Tensor:
@@ -83,7 +81,7 @@ class KernelDesign(Design):
         rows = columns.any(dim=1).nonzero()[:, 0]
         if 2 * len(rows) < self.n_samples:  # most samples lie within the tube
             return torch.cat([columns, self.rows(rows).T @ columns[rows]])
-        return torch.cat([columns, self.rows(self._every) @ columns])
+        return torch.cat([columns, self.rows(self.every) @ columns])
 
     def matvec_rmatvec(self, change: Coefficients, columns: Columns) -> tuple[Tensor, Tensor]:
         """Return Phi W + b, and Phi^T V with V = columns(rows, (Phi W + b)[rows])."""
@@ -136,9 +134,9 @@ class FixedKernel:
 
     def __init__(self, design: KernelDesign, C: float, fit_intercept: bool) -> None:
         self._design, self._fit_intercept = design, fit_intercept
-        self._weight, every = 2 * C, torch.arange(design.n_samples, device=design.X.device)
+        self._weight = 2 * C
         weights = torch.full_like(design.X[:, 0], self._weight)
-        self._factor = _factor(design.block(every), weights)
+        self._factor = _factor(design.block(design.every), weights)
 
     def direction(self, gradient: Gradient, accuracy: float) -> Coefficients:
         """Return -H^-1 g, exactly."""
@@ -221,9 +219,7 @@ def _whole(kernel: Tensor, inverse: Tensor) -> Callable[[Tensor], Tensor]:
     n, q = inverse.shape[:2]
     matrix = torch.kron(torch.eye(q).to(kernel), kernel).reshape(q, n, q, n)
     matrix.diagonal(dim1=1, dim2=3).add_(inverse.permute(1, 2, 0))
-    factor = cholesky(
-        matrix.reshape(n * q, n * q), f"system of {n} samples outside the tube", ADVICE
-    )
+    factor = cholesky(matrix.reshape(n * q, n * q), f"system of {n} samples outside the tube")
     return lambda right: cholesky_solve(right.T.reshape(-1, 1), factor).reshape(q, n).T
 
 
@@ -235,8 +231,7 @@ def _woodbury(factor: Tensor, second: Tensor) -> Callable[[Tensor], Tensor]:
         core[j, :, j].diagonal().add_(1.0)
         for k in range(q):
             core[j, :, k] += (factor * second[:, j, k]) @ factor.T
-    name = f"system of {rank} rows of a factor of the kernel"
-    lower = cholesky(core.reshape(q * rank, -1), name, ADVICE)
+    lower = cholesky(core.reshape(q * rank, -1), f"system of {rank} rows of a factor of the kernel")
 
     def apply(right: Tensor) -> Tensor:
         scaled = (second @ right[:, :, None])[:, :, 0]
@@ -308,4 +303,4 @@ def _factor(kernel: Tensor, weights: Tensor) -> Tensor:
     """Return the Cholesky factor of K + 1 / weights."""
     matrix = kernel.clone()
     matrix.diagonal().add_(1 / weights)
-    return cholesky(matrix, f"kernel matrix with weights of total {weights.sum():.1e}", ADVICE)
+    return cholesky(matrix, f"kernel matrix with weights of total {weights.sum():.1e}")

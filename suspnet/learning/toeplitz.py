@@ -183,8 +183,7 @@ class ToeplitzEquations:
         self._n_block = n_block
         self._leading = torch.cat([torch.arange(n_block), n_waves + torch.arange(n_block - 1)])
         name = f"system of IRWLS with weights of total {self._centre:.1e}"
-        factor = cholesky(self._leading_block(), name, "lower C, or scale the outputs")
-        self._inverse = torch.cholesky_inverse(factor)
+        self._inverse = torch.cholesky_inverse(cholesky(self._leading_block(), name))
 
     def _leading_block(self) -> Tensor:
         """Return the block of the strongest waves from sums and differences of t_k."""

@@ -111,7 +111,7 @@ def regress_stream(
     def fit(curves: Tensor, rows: slice, mass: FloatArray | None) -> FloatArray:
         return regress(model, problem.observer, data.inputs[rows], curves, mass)
 
-    return np.concatenate(_over_blocks(problem, data, stream, fit, threads=problem.threads))
+    return np.concatenate(_over_blocks(problem, data, stream, fit))
 
 
 def refine_stream(
@@ -122,7 +122,7 @@ def refine_stream(
     def fit(curves: Tensor, rows: slice, mass: FloatArray | None) -> Refined:
         return refine_curves(problem.task, problem.observer, curves, predicted[rows], mass)
 
-    return Refined.joined(_over_blocks(problem, data, stream, fit, threads=problem.threads))
+    return Refined.joined(_over_blocks(problem, data, stream, fit))
 
 
 def _over_blocks(
@@ -130,7 +130,6 @@ def _over_blocks(
     data: FeatureData,
     stream: int,
     fit: Callable[[Tensor, slice, FloatArray | None], Part],
-    threads: int,
 ) -> list[Part]:
     """Return the results of `fit` for each block's curves, rows and known masses."""
     mass = data.ratios[:, BODY_MASS_COLUMN] if problem.task.mass_known else None
@@ -145,7 +144,7 @@ def _over_blocks(
             bar.update(len(curves))
             return fitted
 
-        with pool_of(threads) as pool:
+        with pool_of(problem.threads) as pool:
             return list(pool.map(fit_block, range(problem.n_blocks(n_curves))))
 
 
