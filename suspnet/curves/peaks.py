@@ -14,6 +14,7 @@ from typing import Literal, get_args
 import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
+from torch.nn.functional import avg_pool1d
 
 from suspnet.ground.settings import check_choice, check_number
 from suspnet.ground.tensors import as_tensor
@@ -156,22 +157,9 @@ def check_grid(magnitude: Tensor, frequencies_hz: Tensor) -> None:
 def smooth(magnitude: Tensor, frequencies_hz: Tensor, length_hz: float) -> Tensor:
     """Return the centred moving average over `length_hz`, shorter at the ends; same shape."""
     step = float(frequencies_hz[1] - frequencies_hz[0])
-    n_freq = magnitude.shape[1]
-    half = min(round(length_hz / step) // 2, (n_freq - 1) // 2)
-    length = 2 * half + 1
-    # sums of 1, 2, 4, ... neighbours; add up those in the binary representation of `length`
-    sums = torch.nn.functional.pad(magnitude, (half, half))
-    total = sums[:, :n_freq].clone()
-    width = taken = 1
-    while 2 * width <= length:  # width doubles
-        sums = sums[:, :-width] + sums[:, width:]
-        width *= 2
-        if length & width:
-            total += sums[:, taken : taken + n_freq]
-            taken += width
-    bins = torch.arange(n_freq, device=magnitude.device)
-    n_averaged = 1 + bins.clamp(max=half) + bins.flip(0).clamp(max=half)
-    return total.div_(n_averaged)
+    half = min(round(length_hz / step) // 2, (magnitude.shape[1] - 1) // 2)
+    averaged = avg_pool1d(magnitude[:, None], 2 * half + 1, 1, half, count_include_pad=False)
+    return averaged[:, 0]
 
 
 @dataclass(frozen=True)

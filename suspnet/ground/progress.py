@@ -1,5 +1,6 @@
 """Output of a program: bars of progress or lines in the log, and visible control characters."""
 
+import functools
 import logging
 import math
 import re
@@ -33,21 +34,14 @@ def bar(
     line, without `shown` only at the start. `unit` is the singular of the things counted, empty if
     nothing is.
     """
+    made = functools.partial(tqdm, items, title, total, unit=unit, leave=False)
     if shown and sys.stderr.isatty():
-        form = None if unit else "{desc}: {elapsed}"
-        return tqdm(
-            items, title, total, unit=unit, bar_format=form, leave=False, dynamic_ncols=True
-        )
+        return made(bar_format=None if unit else "{desc}: {elapsed}", dynamic_ncols=True)
     count = "{desc}: {n_fmt} of {total_fmt} [{elapsed}<{remaining}]"
     interval_s = INTERVAL_S if shown else math.inf
-    return tqdm(
-        items,
-        title,
-        total,
-        unit=unit,
+    return made(
         bar_format=count if total else "{desc}: {n_fmt} [{elapsed}]" if unit else "{desc}",
         file=_LogStream(),
-        leave=False,
         smoothing=0,
         mininterval=interval_s,
         maxinterval=interval_s,

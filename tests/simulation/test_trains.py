@@ -45,16 +45,15 @@ def test_every_bogie_of_every_car_has_a_place_and_a_seed_of_its_own():
     found = Trains(3, 4).suspensions(0)
     assert len(found) == Trains(3, 4).n_all == 24
     assert len({one.name for one in found}) == len({one.seed for one in found}) == 24
-    assert str(found[5].aboard.place(" S1 ")) == "train 1, car 3, S1, trailing bogie"
+    assert str(found[5].place(" S1 ")) == "train 1, car 3, S1, trailing bogie"
     assert found[5].name == "train_1_car_3_trailing"
 
 
 def test_suspensions_of_a_train_share_what_others_do_not():
     found = Trains(3, 2).suspensions(0)
-    for shared in ("seed", "first_start"):
+    for shared in ("train_seed", "first_start"):
         by_train = {
-            train: {getattr(one.aboard, shared) for one in found if one.aboard.train == train}
-            for train in "123"
+            train: {getattr(one, shared) for one in found if one.train == train} for train in "123"
         }
         assert all(len(values) == 1 for values in by_train.values())
         assert len(set.union(*by_train.values())) == 3
@@ -62,7 +61,7 @@ def test_suspensions_of_a_train_share_what_others_do_not():
 
 def test_trips_begin_where_a_section_of_a_stream_does():
     for one in Trains(3).suspensions(0):
-        assert one.aboard.first_start.timestamp() % SECTION_S == 0
+        assert one.first_start.timestamp() % SECTION_S == 0
     assert writing.STEP.total_seconds() % SECTION_S == 0
 
 

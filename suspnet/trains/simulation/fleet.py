@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from typing import Annotated, Any, Literal
 
@@ -202,17 +202,20 @@ class Scenario:
 
 
 @dataclass(frozen=True)
-class Aboard:
-    """Place of a suspension on a train, with the start of the train's first trip and its seed.
+class SimulatedSuspension:
+    """One suspension of a train, whose first trip starts at `first_start`.
 
-    The seed determines track and speed of each of its trips.
+    `train_seed` determines track and speed of each trip of the train, `seed` the suspension's true
+    numbers, payload and noise. It follows the scenario if it `wears`.
     """
 
     train: str
     car: str
     bogie: End
     first_start: datetime
+    train_seed: int
     seed: int
+    wears: bool
 
     @property
     def name(self) -> str:
@@ -265,37 +268,19 @@ class Trains:
 
         The suspensions that wear are drawn at random.
         """
-        candidates: list[tuple[Aboard, int, int]] = []
+        candidates: list[SimulatedSuspension] = []
+        lots: list[int] = []
         for train in range(1, self.trains + 1):
             shared = _seeds(seed, train)[0]
             first_start = FIRST_DAY + HEADWAY * (train - 1)
             for car in range(1, (self.cars or 1) + 1):
                 for i, bogie in enumerate(ENDS):
-                    aboard = Aboard(str(train), str(car), bogie, first_start, shared)
-                    candidates.append((aboard, *_seeds(seed, train, car, i + 1)))
-        by_lot = sorted(range(self.n_all), key=lambda i: candidates[i][2])
-        wearing = set(by_lot[: self.n_wearing])
-        return [
-            SimulatedSuspension(aboard, own_seed, i in wearing)
-            for i, (aboard, own_seed, _) in enumerate(candidates)
-        ]
-
-
-@dataclass(frozen=True)
-class SimulatedSuspension:
-    """One suspension of a train; it follows the scenario if it `wears`.
-
-    `seed` determines its true numbers, payload and noise.
-    """
-
-    aboard: Aboard
-    seed: int
-    wears: bool
-
-    @property
-    def name(self) -> str:
-        """Name of the folder of its trips."""
-        return self.aboard.name
+                    own, lot = _seeds(seed, train, car, i + 1)
+                    place = str(train), str(car), bogie, first_start, shared
+                    candidates.append(SimulatedSuspension(*place, own, False))
+                    lots.append(lot)
+        wearing = sorted(range(self.n_all), key=lots.__getitem__)[: self.n_wearing]
+        return [replace(own, wears=i in wearing) for i, own in enumerate(candidates)]
 
 
 def _seeds(seed: int, *place: int) -> tuple[int, int]:

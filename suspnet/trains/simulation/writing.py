@@ -30,7 +30,6 @@ from suspnet.trains.recordings.manifest_files import write_manifest
 from suspnet.trains.recordings.manifest_sources import Pair, SensorSource, SpeedSource
 from suspnet.trains.simulation.fleet import (
     FIRST_DAY,
-    Aboard,
     Fleet,
     Scenario,
     SimulatedSuspension,
@@ -85,7 +84,7 @@ class Simulation:
     seed: int = 0
     scatter: float = 0.0
 
-    def made_from(self, place: Trains | Aboard | None) -> str:
+    def made_from(self, place: Trains | SimulatedSuspension | None) -> str:
         """Return a hash of all that the trips depend on."""
         parts: list[Any] = [asdict(self.fleet), asdict(self.scenario)]
         parts += [type(self.generator).__name__, asdict(self.generator)]
@@ -99,7 +98,7 @@ def write_fleet(
     folder: Path,
     simulation: Simulation,
     *,
-    aboard: Aboard | None = None,
+    aboard: SimulatedSuspension | None = None,
     n_jobs: int | None = 1,
     progress: bool = False,
 ) -> list[Path]:
@@ -205,13 +204,10 @@ def _write_suspension(work: tuple[Path, SimulatedSuspension], simulation: Simula
         healthy = replace(simulation.scenario, name="healthy", changes={})
         simulation = replace(simulation, scenario=healthy)
     if isinstance(simulation.generator, VerticalVehicle):
-        measured = replace(simulation.generator, bogie=suspension.aboard.bogie)
+        measured = replace(simulation.generator, bogie=suspension.bogie)
         simulation = replace(simulation, generator=measured)
-    write_fleet(
-        folder / suspension.name,
-        replace(simulation, seed=suspension.seed),
-        aboard=suspension.aboard,
-    )
+    simulation = replace(simulation, seed=suspension.seed)
+    write_fleet(folder / suspension.name, simulation, aboard=suspension)
 
 
 def _name(index: int) -> str:
@@ -223,7 +219,7 @@ def _write_trip(
     fleet: Fleet,
     generator: ResponseGenerator,
     seed: int,
-    aboard: Aboard | None,
+    aboard: SimulatedSuspension | None,
 ) -> Path:
     """Simulate one trip, write its manifest and files, and return the manifest's path.
 
@@ -233,7 +229,7 @@ def _write_trip(
     # Suspensions of a train share track and speed, drawn from the train's seed; noise is their own.
     track, noise, speeds, cross = np.random.SeedSequence([seed, index]).spawn(4)
     if aboard is not None:
-        track, _, speeds, cross = np.random.SeedSequence([aboard.seed, index]).spawn(4)
+        track, _, speeds, cross = np.random.SeedSequence([aboard.train_seed, index]).spawn(4)
     journey = fleet.journey_of(int(speeds.generate_state(1)[0]))
     # Simulate at the highest rate of the sensors; each signal is then resampled to its own rate.
     rate_hz = max(sensor.rate_hz for sensor in fleet.loggers().values())
