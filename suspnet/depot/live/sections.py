@@ -260,10 +260,6 @@ class Sections:
         section = self._open[key].section
         return section.end_ns - section.begin_ns < self._short_s * SECOND_NS
 
-    def _is_rest(self, key: int) -> bool:
-        """Return whether a section is the rest of an open one."""
-        return self._open[key].before in self._open and self._is_short(key)
-
     def _join_rests(self) -> None:
         for k, entry in self._open.items():
             after = self._after(k)
@@ -284,7 +280,8 @@ class Sections:
 
     def _close(self, keys: list[int]) -> list[Running]:
         """Close some sections; return those that are not the rest of another."""
-        closed = [self._open[k].section for k in keys if not self._is_rest(k)]
+        rests = {k for k in keys if self._open[k].before in self._open and self._is_short(k)}
+        closed = [self._open[k].section for k in keys if k not in rests]
         for k in keys:
             self._next_ns = max(self._next_ns, self._end_ns(self._open[k]))
             self._open[k].section.flush()

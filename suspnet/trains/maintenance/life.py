@@ -3,12 +3,10 @@
 import math
 from dataclasses import dataclass
 from functools import cached_property, partial
-from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from suspnet.ground.records import INTERVAL_LEVEL
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.trains.maintenance.degradation import (
@@ -25,6 +23,7 @@ from suspnet.trains.maintenance.degradation import (
     powered,
     shares,
 )
+from suspnet.trains.maintenance.directions import Z
 from suspnet.trains.maintenance.noise import (
     LEAST_NOISE,
     UNIT_KM,
@@ -144,7 +143,7 @@ def predict_life(
         check_number("limits_pair[1]", upper, above=1)
     km, value, half = _checked_series(mileage_km, values, half_widths)
     # the noise of each trip, from its interval or, without one, from the scatter of all
-    t, sigma = (km - km[0]) / UNIT_KM, half / NormalDist().inv_cdf((1 + INTERVAL_LEVEL) / 2)
+    t, sigma = (km - km[0]) / UNIT_KM, half / Z
     is_known = np.isfinite(sigma)
     usual = robust_spread(np.diff(np.log(value), 2), 6)
     if is_known.any():

@@ -141,11 +141,11 @@ def runs(
 
 
 def paint(n_samples: int, starts: IntArray, stops: IntArray) -> BoolArray:
-    """Return a mask of True from each start up to its stop, which may be the next start."""
+    """Return a mask of True from each start up to its stop; up to 100 runs may overlap."""
     steps = np.zeros(n_samples + 1, dtype=np.int8)
-    steps[starts] += 1
-    steps[stops] -= 1
-    return np.cumsum(steps[:-1], dtype=np.int8).view(np.bool_)
+    np.add.at(steps, starts, 1)
+    np.add.at(steps, stops, -1)
+    return np.asarray(np.cumsum(steps[:-1], dtype=np.int8) > 0)
 
 
 def fill(values: FloatArray, holes: BoolArray) -> FloatArray:

@@ -24,7 +24,7 @@ from scipy.signal import get_window
 
 from suspnet.ground.findings import Finding, at, together
 from suspnet.ground.types import BoolArray, ComplexArray, FloatArray
-from suspnet.trains.recordings.cleaning import Fault, runs
+from suspnet.trains.recordings.cleaning import Fault, paint, runs
 from suspnet.trains.recordings.errors import DeadSensorError, TripError
 from suspnet.trains.recordings.manifest import TripManifest
 from suspnet.trains.recordings.manifest_sources import partner_of
@@ -329,7 +329,4 @@ def _painted(frames: BoolArray, n_samples: int, rate_hz: float) -> BoolArray:
     first[starts <= EDGE_S / STEP_S] = 0.0
     last[stops >= len(frames) - EDGE_S / STEP_S] = n_samples / rate_hz
     begin, end = (np.rint(s * rate_hz).astype(np.intp).clip(0, n_samples) for s in (first, last))
-    steps = np.zeros(n_samples + 1, dtype=np.intp)
-    np.add.at(steps, begin, 1)
-    np.add.at(steps, end, -1)
-    return np.asarray(np.cumsum(steps[:-1]) > 0)
+    return paint(n_samples, begin, end)

@@ -50,7 +50,9 @@ def find_groups(folder: Path) -> list[Group]:
     """
     if not folder.is_dir() or _holds_manifests(folder):
         groups = _split(folder, find_manifests(folder))
-        _warn_of_unread(folder)
+        if unread := sorted(p.name for p in folder.iterdir() if p.is_dir() and _holds_manifests(p)):
+            words = "%s holds manifests of its own, so its subfolders are not read: %s"
+            log.warning(words, folder, ", ".join(unread))
         return _named(groups, folder)
     groups = []
     for part in sorted(path for path in folder.iterdir() if path.is_dir()):
@@ -109,12 +111,6 @@ def _split(folder: Path, manifests: Iterable[Path]) -> list[Group]:
     for file in files:
         by_place.setdefault(file.place or unnamed, []).append(file)
     return [Group(folder, place, tuple(by_place[place])) for place in sorted(by_place)]
-
-
-def _warn_of_unread(folder: Path) -> None:
-    if unread := sorted(p.name for p in folder.iterdir() if p.is_dir() and _holds_manifests(p)):
-        words = "%s holds manifests of its own, so its subfolders are not read: %s"
-        log.warning(words, folder, ", ".join(unread))
 
 
 def _named(groups: list[Group], folder: Path) -> list[Group]:
