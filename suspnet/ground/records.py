@@ -365,16 +365,17 @@ def to_responses(real: FloatArray, imaginary: FloatArray) -> ComplexArray:
 
 @dataclass(frozen=True)
 class Commissioning:
-    """One healthy state of a suspension.
+    """One healthy state of a suspension, to which estimates are relative.
 
-    It starts at `since_km`, with the first of its healthy `trips`. `relative` [-] are its healthy
-    values over those of the first commissioning.
+    It starts at `since_km`, [km], with the first of its healthy `trips`; NaN for a nominal vehicle.
+    `healthy_si` are its values, [N/m, N s/m, kg], and `relative` [-] these over those of the first
+    commissioning.
     """
 
     since_km: float
     healthy_si: dict[str, float]
-    relative: dict[str, float]
-    trips: tuple[str, ...]
+    relative: dict[str, float] = field(default_factory=dict)
+    trips: tuple[str, ...] = ()
 
     @property
     def words(self) -> str:

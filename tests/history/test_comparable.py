@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 from trip_records import trip
 
-from suspnet.ground.records import Place
-from suspnet.trains.history.arrays import Reference
+from suspnet.ground.records import Commissioning, Place
 from suspnet.trains.maintenance.series import Event, series_of
 
 PLACE = Place("x")
@@ -29,14 +28,14 @@ def test_trips_of_these_references_are_those_of_the_series(store):
     store.write([*fitting, *later, *others, *elsewhere])
     store.add_event(*KEY, Event(1e4))
     store.add_event("another", PLACE, Event(2e4))
-    nominal = Reference(np.nan, HEALTHY)
+    nominal = Commissioning(np.nan, HEALTHY)
     found, n_others = store.comparable(*KEY, [nominal])
     assert found.equals(series_of(fitting, [Event(1e4)]))
     assert n_others == len(later) + len(others)
-    found, n_others = store.comparable(*KEY, [nominal, Reference(1e4, HEALTHY)])
+    found, n_others = store.comparable(*KEY, [nominal, Commissioning(1e4, HEALTHY)])
     assert found.equals(series_of([*fitting, *later], [Event(1e4)]))
     assert n_others == len(others)
-    found, n_others = store.comparable(*KEY, [Reference(np.nan, {"k_p": np.nan})])
+    found, n_others = store.comparable(*KEY, [Commissioning(np.nan, {"k_p": np.nan})])
     assert found.equals(series_of(fitting[2:], [Event(1e4)]))
     assert store.comparable("nowhere", PLACE, [nominal]) == (None, 0)
 
@@ -48,6 +47,6 @@ def test_trips_just_stored_are_of_the_series_each_once(store):
     undated = [replace(dated, start=""), replace(lost, start="")]
     store.write([other, dated, elsewhere, lost])
     store.write(undated)
-    found, n_others = store.comparable(*KEY, [Reference(np.nan, HEALTHY)], [other, *undated])
+    found, n_others = store.comparable(*KEY, [Commissioning(np.nan, HEALTHY)], [other, *undated])
     assert found.equals(series_of([other, elsewhere, *undated]))
     assert n_others == 0

@@ -17,6 +17,7 @@ from suspnet.ground.records import (
     HIGHEST_KM,
     OK,
     VALUES,
+    Commissioning,
     Key,
     TripResult,
     or_nan,
@@ -58,20 +59,8 @@ Block = dict[str, NDArray[Any]]
 """Some trips: ``TEXTS``, (n_trips,), and "numbers", (n_trips, n_numeric), as ``NUMERIC``."""
 
 
-@dataclass(frozen=True)
-class Reference:
-    """A healthy state to which estimates are relative.
-
-    `since_km` is the mileage of its first healthy trip, [km], NaN for a nominal vehicle;
-    `healthy_si` are its values, [N/m, N s/m, kg].
-    """
-
-    since_km: float
-    healthy_si: Mapping[str, float]
-
-
 def comparable(
-    references: Iterable[Reference], results: Sequence[TripResult]
+    references: Iterable[Commissioning], results: Sequence[TripResult]
 ) -> tuple[sql.ColumnElement[bool], sql.ColumnElement[bool]]:
     """Return the conditions that a trip is comparable with `results`, and that it is not.
 
@@ -91,7 +80,7 @@ def comparable(
     return sql.and_(chosen, ~is_again), sql.and_(~chosen, ~is_again)
 
 
-def _is_relative_to(reference: Reference) -> sql.ColumnElement[bool]:
+def _is_relative_to(reference: Commissioning) -> sql.ColumnElement[bool]:
     healthy = {VALUES["healthy_si"].format(name): v for name, v in reference.healthy_si.items()}
     if not all(map(math.isfinite, healthy.values())):
         return sql.false()

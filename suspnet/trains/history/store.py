@@ -15,9 +15,8 @@ from sqlalchemy.engine import Connection, Engine
 from sqlalchemy.exc import SQLAlchemyError
 
 from suspnet.ground.findings import at
-from suspnet.ground.records import MOST_NAME, OK, Key, Place, TripResult, from_row
+from suspnet.ground.records import MOST_NAME, OK, Commissioning, Key, Place, TripResult, from_row
 from suspnet.trains.history.arrays import (
-    Reference,
     TripResponses,
     comparable,
     read_responses,
@@ -200,7 +199,7 @@ class History:
         self,
         vehicle: str,
         place: Place,
-        references: Sequence[Reference],
+        references: Sequence[Commissioning],
         results: Sequence[TripResult] = (),
     ) -> tuple[Series | None, int]:
         """Return the trips of a suspension that are relative to one of some healthy states.

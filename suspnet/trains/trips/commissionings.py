@@ -62,21 +62,19 @@ def models_at(models: Sequence[Model], mileage_km: float) -> list[Model]:
 def commissionings(models: Sequence[Model], results: Sequence[TripResult]) -> list[Commissioning]:
     """Return the commissionings that trips were read with; empty if there is at most one."""
     starts = {r.healthy_since_km for r in results}
-    used = [era[0] for era in eras(models) if since_km(era[0]) in starts]
+    used = [healthy_state(era[0]) for era in eras(models) if since_km(era[0]) in starts]
     if len(used) < 2:
         return []
-    healthy_si = [
-        dict(zip(model.healthy.names, model.healthy.values.tolist(), strict=True)) for model in used
-    ]
-    return [
-        Commissioning(
-            since_km(model),
-            values_si,
-            {name: value / healthy_si[0][name] for name, value in values_si.items()},
-            tuple(model.training["commissioned"].get("trips", ())),
-        )
-        for model, values_si in zip(used, healthy_si, strict=True)
-    ]
+    first = used[0].healthy_si
+    relative = [{name: si / first[name] for name, si in each.healthy_si.items()} for each in used]
+    return [replace(each, relative=own) for each, own in zip(used, relative, strict=True)]
+
+
+def healthy_state(model: Model) -> Commissioning:
+    """Return the healthy state that a model's estimates are relative to."""
+    values_si = dict(zip(model.healthy.names, model.healthy.values.tolist(), strict=True))
+    trips = model.training.get("commissioned", {}).get("trips", ())
+    return Commissioning(since_km(model), values_si, trips=tuple(trips))
 
 
 def with_truth_of_each(

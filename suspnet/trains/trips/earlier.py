@@ -22,12 +22,11 @@ from suspnet.ground.records import (
     to_row,
 )
 from suspnet.trains.history import History
-from suspnet.trains.history.arrays import Reference
 from suspnet.trains.history.schema import trip_key, undated_key
 from suspnet.trains.maintenance.alarms import Alarm, watch
 from suspnet.trains.maintenance.change import ChangeSettings
 from suspnet.trains.recordings.manifest_files import ManifestFile
-from suspnet.trains.trips.commissionings import since_km
+from suspnet.trains.trips.commissionings import healthy_state
 
 log = logging.getLogger(__name__)
 FOLDER = "finished_trips"
@@ -96,7 +95,7 @@ def with_earlier(
     """
     vehicle = models[0].vehicle.name
     store.write(_storable(results, vehicle))
-    series, n_others = store.comparable(vehicle, place, _references(models), results)
+    series, n_others = store.comparable(vehicle, place, list(map(healthy_state, models)), results)
     if n_others:
         log.warning("%s", LEFT_OUT.format(store, n_others, place))
     if series is None:
@@ -129,20 +128,13 @@ def keep_trips(
     """
     vehicle = models[0].vehicle.name
     store.write(storable := _storable(results, vehicle))
-    series, n_others = store.comparable(vehicle, place, _references(models), storable)
+    series, n_others = store.comparable(vehicle, place, list(map(healthy_state, models)), storable)
     if n_others and (words := LEFT_OUT.format(store, n_others, place)) not in _LOGGED:
         _LOGGED.add(words)
         log.warning("%s", words)
     alarms = [] if series is None else watch(series, limits, settings).alarms
     store.keep_alarms(vehicle, place, alarms)
     return alarms
-
-
-def _references(models: Sequence[Model]) -> list[Reference]:
-    return [
-        Reference(since_km(m), dict(zip(m.healthy.names, m.healthy.values.tolist(), strict=True)))
-        for m in models
-    ]
 
 
 def _storable(results: Sequence[TripResult], vehicle: str) -> list[TripResult]:
