@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Literal, Protocol
 
 import torch
 from torch import Tensor, cholesky_solve
@@ -20,6 +20,8 @@ CACHE_BYTES = 400_000_000
 """Largest size of a training set's features that stay in memory between passes [bytes]."""
 MOST_COUPLED = 4096
 """Largest number of features times outputs for which Newton's equations are factored."""
+Kind = Literal["fixed", "reweighted", "newton"]
+"""Kind of normal equations, see ``Design.equations``."""
 Columns = Callable[[slice, Tensor], Tensor]
 """Function that returns V[rows], (n_rows, n_columns), from `rows` and (Phi W + b)[rows]."""
 
@@ -79,16 +81,13 @@ class Design(ABC):
         """Return Phi W + b, and Phi^T V with V = columns(rows, (Phi W + b)[rows]), in one pass."""
 
     @abstractmethod
-    def fixed(self, C: float, fit_intercept: bool) -> NormalEquations:
-        """Return the equations of all weights 2 C, their largest by Eq. (10), computed once."""
+    def equations(self, kind: Kind, C: float, fit_intercept: bool) -> NormalEquations:
+        """Return normal equations of a kind.
 
-    @abstractmethod
-    def reweighted(self, C: float, fit_intercept: bool) -> NormalEquations:
-        """Return the equations of Eq. (9), computed for the weights of every iteration."""
-
-    def newton(self, C: float, fit_intercept: bool) -> NormalEquations:
-        """Return the equations of Newton's method, or those of Eq. (9) where they cost less."""
-        return self.reweighted(C, fit_intercept)
+        "fixed" are those of all weights 2 C, their largest by Eq. (10), computed once, "reweighted"
+        those of Eq. (9), computed for the weights of every iteration, "newton" those of Newton's
+        method, or those of Eq. (9) where they cost less.
+        """
 
 
 @dataclass(frozen=True)
@@ -184,17 +183,13 @@ class DenseDesign(Design):
                 products[stripe, start:] += scaled[:, stripe].T @ phi[:, start:]
         return Gram(products.triu() + products.triu(1).T, sums, float(count))
 
-    def fixed(self, C: float, fit_intercept: bool) -> FixedGram:
-        """Return the equations of all weights 2 C, computed once."""
-        return FixedGram(self.weighted_gram(None), C, fit_intercept)
-
-    def reweighted(self, C: float, fit_intercept: bool) -> ReweightedGram:
-        """Return the equations of Eq. (9), factored for the weights of every iteration."""
+    def equations(self, kind: Kind, C: float, fit_intercept: bool) -> NormalEquations:
+        """Return equations of a kind, which are factored."""
+        if kind == "fixed":
+            return FixedGram(self.weighted_gram(None), C, fit_intercept)
+        if kind == "newton":
+            return NewtonGram(self, C, fit_intercept)
         return ReweightedGram(self, fit_intercept)
-
-    def newton(self, C: float, fit_intercept: bool) -> NormalEquations:
-        """Return the equations of Newton's method."""
-        return NewtonGram(self, C, fit_intercept)
 
     def _projected(self, product: Tensor) -> Tensor:
         """Return V^T product where the blocks are those of K, else the product."""

@@ -26,7 +26,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from suspnet.learning.design import Coefficients, Columns, Design, Gradient, NormalEquations
+from suspnet.learning.design import Coefficients, Columns, Design, Gradient, Kind
 
 SUFFICIENT_DECREASE = 1e-4
 """Fraction of the decrease predicted by the gradient that a step must reach (Armijo's rule)."""
@@ -37,7 +37,7 @@ MAX_SLOW_STEPS = 20
 where many samples lie on the border of the tube."""
 
 
-KINDS = {"newton": ("fixed", "newton"), "irwls": ("reweighted",)}
+KINDS: dict[str, tuple[Kind, ...]] = {"newton": ("fixed", "newton"), "irwls": ("reweighted",)}
 """Kinds of equations of each solver, in turn."""
 
 
@@ -191,20 +191,16 @@ class _Equations:
 
     def __init__(self, design: Design, solver: IRWLS, is_near: bool = False) -> None:
         self._slow_decrease = solver.slow_decrease
-        make = {"fixed": design.fixed, "newton": design.newton, "reweighted": design.reweighted}
         self._kinds = KINDS[solver.solver]
-        self._make = [
-            functools.partial(make[name], solver.C, solver.fit_intercept) for name in self._kinds
-        ]
-        self._made: dict[int, NormalEquations] = {}
+        self._made = functools.cache(
+            functools.partial(design.equations, C=solver.C, fit_intercept=solver.fit_intercept)
+        )
         self._place = len(self._kinds) - 1 if is_near else 0
         self._n_slow = self._n_failed = 0
         self._decrement = float("inf")
 
     def direction(self, gradient: Gradient, accuracy: float) -> Coefficients:
-        if self._place not in self._made:
-            self._made[self._place] = self._make[self._place]()
-        return self._made[self._place].direction(gradient, accuracy)
+        return self._made(self._kinds[self._place]).direction(gradient, accuracy)
 
     @property
     def have_failed(self) -> bool:

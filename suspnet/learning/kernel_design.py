@@ -14,7 +14,15 @@ from dataclasses import replace
 import torch
 from torch import Tensor, cholesky_solve
 
-from suspnet.learning.design import Coefficients, Columns, Design, Gradient, cholesky
+from suspnet.learning.design import (
+    Coefficients,
+    Columns,
+    Design,
+    Gradient,
+    Kind,
+    NormalEquations,
+    cholesky,
+)
 from suspnet.learning.feature_maps import KernelColumns, generator, partial_cholesky
 from suspnet.learning.irwls import IRWLS
 
@@ -108,17 +116,11 @@ class KernelDesign(Design):
         dual[few] = solution.coef
         return Coefficients(self.rmatvec(dual), solution.intercept)
 
-    def fixed(self, C: float, fit_intercept: bool) -> FixedKernel:
-        """Return the equations of all weights 2 C, computed once."""
-        return FixedKernel(self, C, fit_intercept)
-
-    def reweighted(self, C: float, fit_intercept: bool) -> ReweightedKernel:
-        """Return the equations of Eq. (9), factored for the weights of every iteration."""
-        return ReweightedKernel(self, fit_intercept)
-
-    def newton(self, C: float, fit_intercept: bool) -> NewtonKernel:
-        """Return the equations of Newton's method."""
-        return NewtonKernel(self, C, fit_intercept)
+    def equations(self, kind: Kind, C: float, fit_intercept: bool) -> NormalEquations:
+        """Return equations of a kind."""
+        if kind == "reweighted":
+            return ReweightedKernel(self, fit_intercept)
+        return (FixedKernel if kind == "fixed" else NewtonKernel)(self, C, fit_intercept)
 
     def direction(
         self, gradient: Gradient, rows: Tensor, eta: Tensor, shift: Tensor

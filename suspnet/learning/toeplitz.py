@@ -14,6 +14,7 @@ from suspnet.learning.design import (
     Columns,
     Design,
     Gradient,
+    Kind,
     cholesky,
     without_intercept,
 )
@@ -60,13 +61,9 @@ class EquispacedDesign(EquispacedTransform, Design):
         moved = self.matvec(change.coef) + change.intercept
         return moved, self.rmatvec(columns(slice(0, self.n_samples), moved))
 
-    def fixed(self, C: float, fit_intercept: bool) -> ToeplitzEquations:
-        """Return the equations of all weights 2 C."""
-        return ToeplitzEquations(self, C, fit_intercept, False, self._solver)
-
-    def reweighted(self, C: float, fit_intercept: bool) -> ToeplitzEquations:
-        """Return the equations of Eq. (9), computed for the weights of every iteration."""
-        return ToeplitzEquations(self, C, fit_intercept, True, self._solver)
+    def equations(self, kind: Kind, C: float, fit_intercept: bool) -> ToeplitzEquations:
+        """Return equations of a kind, those of Eq. (9) for Newton's method."""
+        return ToeplitzEquations(self, C, fit_intercept, kind != "fixed", self._solver)
 
 
 class ToeplitzEquations:

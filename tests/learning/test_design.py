@@ -105,7 +105,8 @@ def test_directions_solve_the_dense_normal_equations(weights, fit_intercept):
     w = torch.full((60,), 2 * C).double() if weights == "fixed" else WEIGHTS[weights]
     offset = normal(2) * (fit_intercept and weights != "all zero")
     gradient = Gradient(normal(9, 2), offset, w, normal(60, 2))
-    equations = getattr(design, "fixed" if weights == "fixed" else "reweighted")(C, fit_intercept)
+    kind = "fixed" if weights == "fixed" else "reweighted"
+    equations = design.equations(kind, C, fit_intercept)
     found = equations.direction(gradient, 0.0)
     extended = np.column_stack([Phi, np.ones(60)]) if fit_intercept else Phi
     hessian = extended.T @ (w.numpy()[:, None] * extended)
@@ -122,4 +123,4 @@ def test_directions_solve_the_dense_normal_equations(weights, fit_intercept):
 def test_features_that_are_no_numbers_are_an_error(bad):
     design = DenseDesign(Mapped(lambda X: torch.full((len(X), 4), bad, dtype=X.dtype)), samples())
     with pytest.raises(ValueError, match=r"4 x 4 system .* singular to working precision"):
-        design.fixed(1.0, True)
+        design.equations("fixed", 1.0, True)

@@ -195,7 +195,7 @@ def equations_at(design, weights, fit_intercept):
     offset = normal(2) * (fit_intercept and weights != "all zero")
     gradient = Gradient(normal(n_features, 2), offset, w, normal(len(w), 2))
     kind = "fixed" if weights == "fixed" else "reweighted"
-    return getattr(design, kind)(3.0, fit_intercept), gradient
+    return design.equations(kind, 3.0, fit_intercept), gradient
 
 
 SOLVERS = {

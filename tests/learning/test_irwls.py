@@ -205,7 +205,7 @@ def test_lower_bound_of_the_exact_direction_is_the_minimum_of_the_quadratic(epsi
     W, b = np.full((Phi.shape[1], 2), 0.1), np.full(2, 0.2 * fit_intercept)
     nowhere = Coefficients(torch.zeros(len(W), 2).double(), torch.zeros(2).double())
     weak, gradient = bound_from(nowhere, W, b, 10.0, epsilon, fit_intercept)
-    exact = design.reweighted(10.0, fit_intercept).direction(gradient, 0.0)
+    exact = design.equations("reweighted", 10.0, fit_intercept).direction(gradient, 0.0)
     bound, _ = bound_from(exact, W, b, 10.0, epsilon, fit_intercept)
     inner = (gradient.coef * exact.coef).sum() + (gradient.intercept * exact.intercept).sum()
     # The quadratic falls by half the decrement.
@@ -237,8 +237,9 @@ class Rigged:
     def __getattr__(self, name):
         return getattr(self._design, name)
 
-    def _equations(self, kind, C, fit_intercept):
-        equations, change = getattr(self._design, kind)(C, fit_intercept), self._changes[kind]
+    def equations(self, kind, C, fit_intercept):
+        equations = self._design.equations(kind, C, fit_intercept)
+        change = self._changes[kind]
 
         class Changed:
             def direction(self, gradient, accuracy):
@@ -246,15 +247,6 @@ class Rigged:
                 return Coefficients(change * right.coef, change * right.intercept)
 
         return Changed()
-
-    def fixed(self, C, fit_intercept):
-        return self._equations("fixed", C, fit_intercept)
-
-    def reweighted(self, C, fit_intercept):
-        return self._equations("reweighted", C, fit_intercept)
-
-    def newton(self, C, fit_intercept):
-        return self._equations("newton", C, fit_intercept)
 
 
 @pytest.mark.parametrize(
