@@ -30,10 +30,10 @@ from suspnet.estimation.checkpoint import save_model as save_model
 from suspnet.estimation.commissioned_bogie import CommissionedBogie as CommissionedBogie
 from suspnet.estimation.commissioned_rig import CommissionedRig as CommissionedRig
 from suspnet.estimation.commissioned_rig import RigEstimate as RigEstimate
-from suspnet.estimation.commissioned_rig import load_rig as load_rig
-from suspnet.estimation.commissioned_rig import save_rig as save_rig
 from suspnet.estimation.estimate import Estimate as Estimate
 from suspnet.estimation.fitted import ModelFileError as ModelFileError
+from suspnet.estimation.rig_files import load_rig as load_rig
+from suspnet.estimation.rig_files import save_rig as save_rig
 from suspnet.estimation.trained import TrainedModel as TrainedModel
 from suspnet.estimation.trip_settings import TripSettings as TripSettings
 from suspnet.ground.parameters import COMPONENTS as COMPONENTS

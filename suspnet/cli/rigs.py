@@ -18,7 +18,7 @@ from suspnet.ground.wording import command
 from suspnet.vehicle.rig import Rig
 
 with optional("trips"):
-    from suspnet.estimation.commissioned_rig import RIG_FILE, load_rig
+    from suspnet.estimation.rig_files import RIG_FILE, load_rig
     from suspnet.trains.jobs.rigs import (
         commission_folder,
         commissioning_lines,

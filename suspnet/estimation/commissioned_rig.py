@@ -19,31 +19,22 @@ smaller: few records, and few bands, show little of both.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from scipy.stats import t
 
-from suspnet._version import __version__
-from suspnet.estimation.checkpoint import check_description, foreign_file
 from suspnet.estimation.trip_settings import LEAST_TRIPS
-from suspnet.estimation.validity import check_numbers
 from suspnet.ground.parameters import PARAMETERS, Limits, Severity
 from suspnet.ground.records import INTERVAL_LEVEL
 from suspnet.ground.settings import check_flag, check_number
-from suspnet.ground.storage import content_hash, read_json, write_json
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import ShortRepr
 from suspnet.vehicle.rig import Rig
 
-RIG_FILE = "rig.json"
-"""Name of the file of a commissioned rig, without pickle."""
-SCHEMA_VERSION = 2
 BANDS = 5
 """Number of bands whose errors may be the same throughout: about one for each mode, dip and flank
 of the responses. On the shelf of docs/rigs.md four and five hold what other methods find, eight
@@ -297,41 +288,4 @@ def check_enough(n_records: int) -> None:
     if n_records < LEAST_TRIPS:
         raise ValueError(
             f"{n_records} healthy records are given, at least {LEAST_TRIPS} are needed"
-        )
-
-
-def save_rig(folder: Path | str, rig: CommissionedRig) -> None:
-    """Write a commissioned rig to a folder as rig.json, atomically."""
-    versions = {"schema_version": SCHEMA_VERSION, "suspnet_version": __version__}
-    content = json.loads(json.dumps(versions | asdict(rig), default=lambda a: a.tolist()))
-    write_json(Path(folder) / RIG_FILE, content | {"description_sha256": content_hash(content)})
-
-
-def load_rig(folder: Path | str) -> CommissionedRig:
-    """Return the commissioned rig that `save_rig` wrote to a folder.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is none in the folder.
-    ModelFileError
-        If the file is damaged, foreign or of another schema version.
-    """
-    path = Path(folder) / RIG_FILE
-    if not path.is_file():
-        raise FileNotFoundError(f"{folder} holds no {RIG_FILE}; is it the folder of a rig's run?")
-    with foreign_file(path):
-        content = read_json(path)
-        check_description(path, content, SCHEMA_VERSION)
-        check_numbers(content, RIG_FILE)
-        del content["schema_version"], content["suspnet_version"]
-        if not all(isinstance(name, str) for name in content["records"]):
-            raise TypeError("`records` must be names")
-        return CommissionedRig(
-            **content
-            | {
-                "rig": Rig(**content["rig"]),
-                "records": tuple(content["records"]),
-                "readings": tuple(RigReading(**reading) for reading in content["readings"]),
-            }
         )

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from suspnet.curves.problem import TEST, Problem
 from suspnet.estimation.checkpoint import load_model
-from suspnet.estimation.commissioned_rig import RIG_FILE
 from suspnet.estimation.fitted import FittedMethod
+from suspnet.estimation.rig_files import RIG_FILE
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.progress import stage
 from suspnet.ground.storage import write_json

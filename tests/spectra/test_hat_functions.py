@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from suspnet.trains.spectra.noise_subspace import hat_functions
+from suspnet.trains.spectra.hat_functions import hat_functions
 
 
 def test_values_at_knots_are_interpolated():

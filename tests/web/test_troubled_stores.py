@@ -13,7 +13,7 @@ from cli_runner import typed
 from served_fleet import FAILED, HEALTHY, SETTINGS, name_of, trips
 
 from suspnet.cli import serve
-from suspnet.depot.web import access
+from suspnet.depot.web import service
 from suspnet.depot.web.app import create_app
 from suspnet.trains.history import History
 from suspnet.trains.pages import board
@@ -43,11 +43,11 @@ def path(good, tmp_path):
 def waits_little(monkeypatch):
     """Wait for a lock a tenth as long as programs do, which are seconds at most."""
     assert board.LOOK_S == serve.LOOK_S <= 1
-    assert access.READ_S <= access.WRITE_S <= 2
+    assert service.READ_S <= service.WRITE_S <= 2
     monkeypatch.setattr(board, "LOOK_S", board.LOOK_S / 10)
     monkeypatch.setattr(serve, "LOOK_S", serve.LOOK_S / 10)
-    monkeypatch.setattr(access, "WRITE_S", access.WRITE_S / 10)
-    monkeypatch.setattr(access, "READ_S", access.READ_S / 10)
+    monkeypatch.setattr(service, "WRITE_S", service.WRITE_S / 10)
+    monkeypatch.setattr(service, "READ_S", service.READ_S / 10)
 
 
 @contextmanager

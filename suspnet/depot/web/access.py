@@ -1,7 +1,4 @@
-"""Who asks the current application: visitors that a reverse proxy names, programs with a token.
-
-And what they ask for: the thread that follows the store of the fleet, and the store.
-"""
+"""Access: visitors that a trusted reverse proxy names, programs with a token, and their rights."""
 
 import hmac
 import ipaddress
@@ -13,16 +10,7 @@ from typing import cast
 from flask import current_app, g, request
 from werkzeug.exceptions import Forbidden, Unauthorized
 
-from suspnet.ground.records import TripResult
-from suspnet.trains.history import History
-from suspnet.trains.maintenance.series import with_widened
-from suspnet.trains.maintenance.state import State
-from suspnet.trains.pages.board import Refresher
-
 ACCESS = "suspnet_access"  # key, among an application's extensions, of who may see and acknowledge
-SERVICE = "suspnet_fleet"  # likewise, of the `Refresher`
-READ_S, WRITE_S = 0.5, 2.0
-"""Timeouts for reading from a store that other programs have locked, and for writing to it, [s]."""
 MIN_TOKEN = 24  # smallest length of a token: 24 characters of base64 are 144 bits
 MAX_NAME = 80  # largest length of a visitor's name, that of an acknowledgement
 
@@ -136,23 +124,3 @@ def _named(access: Access) -> Visitor:
             f"The reverse proxy gave no name of a visitor in {access.user_header}: log in there."
         )
     return Visitor(name, name in access.engineers)
-
-
-def current_refresher() -> Refresher:
-    """Return the thread behind the current application; its board has the view of the fleet."""
-    return cast(Refresher, current_app.extensions[SERVICE])
-
-
-def opened_store(*, to_write: bool = False) -> History:
-    """Return the store, without creating a missing one.
-
-    HistoryError is raised if it cannot be used, or is locked for longer than ``READ_S`` or
-    ``WRITE_S``.
-    """
-    wait_s = WRITE_S if to_write else READ_S
-    return History(current_refresher().board.store, wait_s=wait_s, must_exist=True)
-
-
-def stored_trips(store: History, state: State) -> list[TripResult]:
-    """Return the trips of a suspension, with the intervals of its series."""
-    return with_widened(store.read(*state.key), state.events)

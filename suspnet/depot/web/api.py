@@ -1,10 +1,5 @@
-"""What programs ask for: the fleet as JSON (the API), and the health of the server.
+"""The API: the fleet as JSON for maintenance systems."""
 
-Health and metrics need no login: they name no vehicle, and where a login is configured no store.
-"""
-
-import time
-from collections import Counter
 from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any
@@ -13,18 +8,12 @@ import numpy as np
 from flask import Blueprint, Response, abort
 from werkzeug.exceptions import HTTPException
 
-from suspnet.depot.web.access import (
-    current_refresher,
-    identify_program,
-    is_admitted,
-    opened_store,
-    stored_trips,
-)
+from suspnet.depot.web.access import identify_program
+from suspnet.depot.web.service import current_refresher, opened_store, stored_trips
 from suspnet.ground.findings import as_plain, together
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, NAMES, part_words
 from suspnet.ground.records import TripResult
 from suspnet.ground.storage import json_bytes
-from suspnet.trains.history import HistoryError
 from suspnet.trains.maintenance.alarms import Alarm, newest_of
 from suspnet.trains.maintenance.assessment import Assessment
 from suspnet.trains.maintenance.state import State
@@ -34,7 +23,6 @@ ROOT = "/api/v1"
 Row = dict[str, Any]
 api = Blueprint("api", __name__, url_prefix=ROOT)
 api.before_request(identify_program)
-health = Blueprint("health", __name__)
 
 
 @api.get("/suspensions")
@@ -185,47 +173,3 @@ def _trip(result: TripResult) -> Row:
         "estimates": {k: v for k, v in result.estimates.items() if np.isfinite(v)},
         "half_widths": {k: v for k, v in result.half_widths.items() if np.isfinite(v)},
     }
-
-
-@health.get("/healthz")
-def healthz() -> tuple[dict[str, Any], int]:
-    """Return whether the pages follow the store: status 200, or 503.
-
-    The reason, which names the store, is left out where a login is configured.
-    """
-    refresher = current_refresher()
-    fault, read_at = refresher.fault, refresher.read_at.isoformat(timespec="seconds")
-    reason = fault if is_admitted() else ""
-    content = {"status": "failing" if fault else "ok", "fault": reason, "read_at": read_at}
-    return content, 503 if fault else 200
-
-
-@health.get("/metrics")
-def metrics() -> Response:
-    """Return the state of fleet and store in the text format of Prometheus."""
-    refresher = current_refresher()
-    view = refresher.board.view
-    values: dict[str, float] = {
-        "suspnet_up": 0 if refresher.fault else 1,
-        "suspnet_store_read_timestamp_seconds": refresher.read_at.timestamp(),
-        "suspnet_bad_rows": len(view.bad_rows),
-    }
-    values |= Counter(f'suspnet_suspensions{{severity="{s.severity}"}}' for s in view.states)
-    values |= Counter(
-        f'suspnet_active_alarms{{severity="{alarm.severity}",cause="{alarm.cause}"}}'
-        for state in view.states
-        for alarm in state.alarms
-    )
-    try:
-        with opened_store() as store:
-            n_waiting, n_given_up, oldest_s = store.outbox().count_unsent()
-        age_s = 0.0 if oldest_s is None else max(time.time() - oldest_s, 0.0)
-        values |= {
-            'suspnet_unsent_messages{state="waiting"}': n_waiting,
-            'suspnet_unsent_messages{state="given_up"}': n_given_up,
-            "suspnet_oldest_unsent_seconds": age_s,
-        }
-    except HistoryError:  # suspnet_up reports it
-        pass
-    text = "".join(f"{name} {value!r}\n" for name, value in values.items())
-    return Response(text, mimetype="text/plain; version=0.0.4")

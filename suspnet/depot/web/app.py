@@ -20,9 +20,11 @@ from waitress.server import create_server
 from werkzeug.exceptions import HTTPException, SecurityError
 
 from suspnet import __version__
-from suspnet.depot.web.access import ACCESS, SERVICE, Access, is_admitted
-from suspnet.depot.web.api import ROOT, api, health, http_problem, problem
+from suspnet.depot.web.access import ACCESS, Access, is_admitted
+from suspnet.depot.web.api import ROOT, api, http_problem, problem
+from suspnet.depot.web.health import health
 from suspnet.depot.web.pages import message_page, pages
+from suspnet.depot.web.service import SERVICE
 from suspnet.runs.language import N_, best_of, check_language, choose, gettext, spoken
 from suspnet.trains.history import HistoryError
 from suspnet.trains.pages.board import Refresher, clock

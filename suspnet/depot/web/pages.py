@@ -27,14 +27,8 @@ from flask_wtf import FlaskForm
 from wtforms import HiddenField, StringField
 from wtforms.validators import DataRequired, Length, ValidationError
 
-from suspnet.depot.web.access import (
-    MAX_NAME,
-    current_refresher,
-    identify_visitor,
-    opened_store,
-    stored_trips,
-    visitor,
-)
+from suspnet.depot.web.access import MAX_NAME, identify_visitor, visitor
+from suspnet.depot.web.service import current_refresher, opened_store, stored_trips
 from suspnet.ground.findings import of
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, NAMES, PARAMETERS, Severity
 from suspnet.ground.records import INTERVAL_LEVEL

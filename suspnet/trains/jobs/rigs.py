@@ -20,8 +20,8 @@ from suspnet.estimation.commissioned_rig import (
     CommissionedRig,
     RigEstimate,
     Value,
-    save_rig,
 )
+from suspnet.estimation.rig_files import save_rig
 from suspnet.ground.parameters import PARAMETERS, Severity
 from suspnet.ground.progress import bar
 from suspnet.ground.records import ERROR, INTERVAL_LEVEL, NO_ESTIMATE, OK

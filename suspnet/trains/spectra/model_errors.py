@@ -26,7 +26,7 @@ from scipy.optimize import nnls
 from torch import Tensor
 
 from suspnet.ground.types import FloatArray
-from suspnet.trains.spectra.noise_subspace import hat_functions
+from suspnet.trains.spectra.hat_functions import hat_functions
 from suspnet.trains.spectra.subspace import SpectralMatrix, SubspaceMisfit
 
 SPACING_HZ = 1.0

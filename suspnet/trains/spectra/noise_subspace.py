@@ -32,12 +32,12 @@ eigenvalues do not depend on H, so that errors of the vehicle are not taken for 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from scipy.optimize import nnls
 from torch import Tensor
 from torch.nn.functional import avg_pool1d
 
+from suspnet.trains.spectra.hat_functions import hat_functions
 from suspnet.trains.spectra.subspace import SpectralMatrix
 
 ROUNDS = 4
@@ -170,15 +170,3 @@ def _densities(white: Tensor, responses: Tensor) -> Tensor:
     return avg_pool1d(
         densities.T.clamp(min=0)[None], SMOOTH_BINS, 1, half, count_include_pad=False
     )[0]
-
-
-def hat_functions(frequencies_hz: Tensor, spacing_hz: float) -> Tensor:
-    """Return hat functions that sum to 1, (n_freq, n_knots), about `spacing_hz` apart.
-
-    `frequencies_hz` (n_freq,) ascend; the first and the last knot are at their ends.
-    """
-    bins = frequencies_hz.numpy()
-    low, high = bins[0], bins[-1]
-    knots = np.linspace(low, high, max(2, round((high - low) / spacing_hz) + 1))
-    columns = [np.interp(bins, knots, row) for row in np.eye(len(knots))]
-    return torch.as_tensor(np.stack(columns, axis=1))
