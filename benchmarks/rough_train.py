@@ -124,9 +124,9 @@ def read(name, seed, options, ratios, celsius, trips):
         row = head | {"trip": i} | row_of(found, ratios[i])
         rows.append(row | {"flagged": int(is_flagged), "is_done": int(found.converged)})
         readings = [*readings, found][-options.together :]
-        is_last = (i - options.healthy) % options.together == options.together - 1
-        is_last &= options.together > 1
-        rows[-1]["together"] = joint_verdict(commissioned, readings, ratios[i]) if is_last else ""
+        is_last = (i + 1 - options.healthy) % options.together == 0
+        joint = options.together > 1 and is_last
+        rows[-1]["together"] = joint_verdict(commissioned, readings, ratios[i]) if joint else ""
     return rows
 
 
@@ -135,7 +135,7 @@ def joint_verdict(commissioned, readings, truth):
     logs = np.array([np.log(found.values[:-1]) for found in readings])
     widths = np.array([Z90 * found.deviations[:-1] for found in readings])
     joint = joint_estimate(commissioned, logs, widths, 0.9)
-    return verdict(worn_names(truth), [set(one.names) for one in suspnet.worn_parts(joint)])
+    return verdict(worn_names(truth), [one.names for one in suspnet.worn_parts(joint)])
 
 
 def row_of(found, truth):

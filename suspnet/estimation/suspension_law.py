@@ -154,8 +154,9 @@ class SuspensionLaw:
 
         `speeds_m_per_s` (2,) are those of both suspensions, NaN if unknown.
         """
-        is_known = temperature_c is not None and self.healthy_c is not None
-        warmer = temperature_c - self.healthy_c if is_known else 0.0  # type: ignore[operator]
+        warmer = 0.0
+        if temperature_c is not None and self.healthy_c is not None:
+            warmer = temperature_c - self.healthy_c
         healthy = np.array(self.healthy_m_per_s, float)
         faster = np.nan_to_num(np.log(speeds_m_per_s / healthy))
         of = dict(zip(CONDITIONS, (warmer, *faster), strict=True))

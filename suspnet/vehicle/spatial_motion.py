@@ -5,13 +5,14 @@ acts with the force kappa u against it. Letters of the vertical family hold (i =
 bogie, 2 the other one, sigma = +1, -1; a half wheelbase, L half pivot distance, b half distances, h
 levers, r_0 wheel radius), for the whole vehicle and not one side of it. Further, epsilon = +1, -1
 for axle 1, 2 (or 3, 4 of the other bogie; 3 is at the same end as 1), s = +1, -1 for left, right.
-With the part load, the body's centre of mass is x_l from its middle towards the measured bogie and
-y_l to the left: sigma - x_l / L is in place of sigma with phi and chi, and s b - y_l in place of s
-b with theta and chi of the body. Angles are multiplied by L (body: phi, chi) or a (bogie and
-wheelsets: psi, chi), but not the rolls theta; y is lateral, to the left, chi yaw and positive where
-the measured bogie or axle 1 moves to the left; rho_t tau_i is the rise of a frame's corners in
-torsion. f = +1, -1 if the measured bogie leads or trails, t likewise for axle 1. With w, x, v the
-height of the track under a wheelset, its angle and its lateral place, the stretches are::
+Where the body's centre of mass, by its load and to balance the equipment about the middle, is x_l
+from its middle towards the measured bogie and y_l to the left, sigma - x_l / L is in place of sigma
+with phi and chi, and s b - y_l in place of s b with theta and chi of the body. Angles are
+multiplied by L (body: phi, chi) or a (bogie and wheelsets: psi, chi), but not the rolls theta; y is
+lateral, to the left, chi yaw and positive where the measured bogie or axle 1 moves to the left;
+rho_t tau_i is the rise of a frame's corners in torsion. f = +1, -1 if the measured bogie leads or
+trails, t likewise for axle 1. With w, x, v the height of the track under a wheelset, its angle and
+its lateral place, the stretches are::
 
     primary, corner    kappa_p / 2   z_i + eps psi_i + s b_p theta_i + eps s rho_t tau_i
                                        - w - s b_p x
@@ -183,21 +184,24 @@ def _body_roll(p: Mapping[str, Tensor], sigma: float, factor: Tensor | float) ->
 
 def _along(layout: Layout, p: Mapping[str, Tensor], place: Tensor | float) -> Tensor | float:
     """Return how far a place over L is ahead of the body's centre of mass, over L."""
-    for name, metres in (("load", p["load_ahead"]), ("equipment", _balance(p, "ahead"))):
-        place = place - metres / p["half_pivot_distance"] if name in layout.parts else place
-    return place
+    metres = _centre_m(layout.parts, p, "ahead")
+    return place if metres is None else place - metres / p["half_pivot_distance"]
 
 
 def _across(layout: Layout, p: Mapping[str, Tensor], place: Tensor | float) -> Tensor | float:
     """Return how far a place is to the left of the body's centre of mass."""
-    for name, metres in (("load", p["load_aside"]), ("equipment", _balance(p, "aside"))):
-        place = place - metres if name in layout.parts else place
-    return place
+    metres = _centre_m(layout.parts, p, "aside")
+    return place if metres is None else place - metres
 
 
-def _balance(p: Mapping[str, Tensor], direction: str) -> Tensor:
-    """Return where the body without its equipment balances it about the middle."""
-    return -p["equipment_share"] * p[f"equipment_{direction}"]
+def _centre_m(parts: Sequence[str], p: Mapping[str, Tensor], direction: str) -> Tensor | None:
+    """Return where the body without its equipment has its centre of mass; None: in the middle."""
+    metres = []
+    if "load" in parts:
+        metres.append(p[f"load_{direction}"])
+    if "equipment" in parts:  # the body balances it about the middle
+        metres.append(-p["equipment_share"] * p[f"equipment_{direction}"])
+    return sum(metres[1:], metres[0]) if metres else None
 
 
 def _height(parts: Sequence[str], wheel: int) -> str:

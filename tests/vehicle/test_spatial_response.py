@@ -89,7 +89,8 @@ def test_channels_alone_are_the_motion_of_one_wheelset(direction):
 )
 def test_derivatives_are_those_of_central_differences(parts, direction):
     generator = vehicle(parts, direction=direction)
-    rows, offsets, step = rows_of(generator, 2), generator.offsets, 1e-5
+    # at 1e-5 the differences err by their rounding, which left no room below the bound
+    rows, offsets, step = rows_of(generator, 2), generator.offsets, 3e-5
     n = len(generator.columns)
     mixed = np.random.default_rng(0).normal(size=(3, n)) / np.sqrt(n)
     along = torch.cat([torch.eye(n, dtype=torch.float64), torch.as_tensor(mixed)])

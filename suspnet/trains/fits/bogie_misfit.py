@@ -23,6 +23,7 @@ from suspnet.estimation.suspension_law import (
 )
 from suspnet.ground.parameters import COMPONENTS, PARAMETERS, Direction
 from suspnet.ground.types import FloatArray
+from suspnet.trains.fits.bogie_residuals import Residuals
 from suspnet.trains.spectra.bogie_trip import BogieTrip, smallest_noise
 from suspnet.trains.spectra.model_errors import SPACING_HZ, Explained, model_errors
 from suspnet.trains.spectra.noise_subspace import DamperForces, Leakage, TripNoise, trip_noise
@@ -131,14 +132,13 @@ class BogieMisfit:
         """Whether a column follows each slope, (7, n_columns)."""
         return follows(self.generator.columns)
 
-    def _law_factors(self, x: FloatArray, i: int) -> Tensor:
-        """Return by what the conditions of trip i multiply each column, (n_columns,)."""
-        slopes, n = np.zeros(len(SLOPES)), self.n_slopes
+    def _slopes_at(self, x: FloatArray) -> FloatArray:
+        """Return the slopes of the suspension's law, (7,), 0 where the trips do not tell them."""
         if self.slopes is not None:
-            slopes = self.slopes
-        slopes[:n] += USUAL[:n] + DEVIATIONS[:n] * x[self.n_numbers : self.n_shared]
-        assert self.conditions is not None
-        return torch.as_tensor(np.exp(self.conditions[i] * slopes @ self._follows))
+            return self.slopes
+        slopes, n = np.zeros(len(SLOPES)), self.n_slopes
+        slopes[:n] = USUAL[:n] + DEVIATIONS[:n] * x[self.n_numbers : self.n_shared]
+        return slopes
 
     @property
     def _own_ties(self) -> FloatArray:
@@ -385,14 +385,14 @@ class BogieMisfit:
 
     def _rows(self, x: FloatArray, i: int) -> Tensor:
         """Return all columns of ratios of trip i, (1, n_columns)."""
-        rows = self._alike_rows(x, i)
-        if self.conditions is None:
-            return rows
-        # a loss below 0, which is none, does not change
-        return torch.where(rows > 0, rows * self._law_factors(x, i), rows)
+        alike, factors = self._alike_rows(x, i)
+        return alike * factors
 
-    def _alike_rows(self, x: FloatArray, i: int) -> Tensor:
-        """Return all columns of ratios of trip i as under the conditions of the healthy trips."""
+    def _alike_rows(self, x: FloatArray, i: int) -> tuple[Tensor, Tensor]:
+        """Return all columns of ratios of trip i, (1, n_columns), as on the healthy trips.
+
+        That is under their conditions; then by what the trip's own ones multiply each column.
+        """
         x = np.clip(x, -FURTHEST, FURTHEST)  # a step from afar may overflow
         own = x[self.n_shared :].reshape(len(self.trips), -1)[i]
         tied, loads = np.split(own, [len(self._own_ties.T)])
@@ -400,7 +400,11 @@ class BogieMisfit:
         parts = torch.as_tensor(np.exp(self._own_ties @ tied))[None]
         rows = self.generator.with_uncertain(parts, torch.as_tensor(numbers))
         rows[:, self._loads] = torch.as_tensor(np.expm1(loads))
-        return rows
+        if self.conditions is None:
+            return rows, torch.ones_like(rows)
+        factors = torch.as_tensor(np.exp(self.conditions[i] * self._slopes_at(x) @ self._follows))
+        # a loss below 0, which is none, does not change
+        return rows, torch.where(rows > 0, factors, 1.0)
 
     def responses(self, x: FloatArray, i: int, bins: Tensor) -> Tensor:
         """Return the responses of trip i's sensors to the inputs, (p, m, n_freq)."""
@@ -427,19 +431,18 @@ class BogieMisfit:
         directions[range(n_tied, len(directions)), self._loads] = 1.0
         return directions
 
-    def _directions_of(self, x: FloatArray, i: int) -> Tensor:
+    def _directions_of(self, i: int, alike: Tensor, factors: Tensor) -> Tensor:
         """Return the directions on a trip, whose suspension follows its own conditions.
 
-        With o added to a column r_0 before its logarithm is taken, and r = r_0 e^s, log(r + o)
-        changes by e^s (r_0 + o) / (r + o) with log(r_0 + o), and by r / (r + o) with s.
+        `alike` and `factors` are those of `_alike_rows`. With o added to a column r_0 before its
+        logarithm is taken, and r = r_0 e^s, log(r + o) changes by e^s (r_0 + o) / (r + o) with
+        log(r_0 + o), and by r / (r + o) with s.
         """
         if self.conditions is None:
             return self._directions
-        alike, rows = self._alike_rows(x, i)[0], self._rows(x, i)[0]
-        offsets = self.generator.offsets
-        inner = torch.where(offsets > 0, rows / alike * (alike + offsets) / (rows + offsets), 1.0)
-        directions = self._directions * torch.where(alike == 0, 1.0, inner)
-        n = self.n_slopes
+        rows, offsets = alike * factors, self.generator.offsets
+        inner = torch.where(offsets > 0, factors * (alike + offsets) / (rows + offsets), 1.0)
+        directions, n = self._directions * inner, self.n_slopes
         sizes = torch.as_tensor((self.conditions[i] * DEVIATIONS)[:n, None] * self._follows[:n])
         directions[self.n_numbers : self.n_shared] = sizes * rows.clamp(min=0) / (rows + offsets)
         return directions
@@ -449,79 +452,10 @@ class BogieMisfit:
 
         The changes have shape (n_directions, p, m, n_freq).
         """
-        trip = self.trips[i]
+        trip, (alike, factors) = self.trips[i], self._alike_rows(x, i)
+        directions = self._directions_of(i, alike[0], factors[0])
         responses, changes = self._of(trip).channels_along(
-            self._rows(x, i), self.frequencies_hz[trip.of(bins)], self._directions_of(x, i)
+            alike * factors, self.frequencies_hz[trip.of(bins)], directions
         )
         inputs, sensors = self._inputs, self.sensors_of(trip)
         return responses[0, inputs][:, sensors], changes[0][:, inputs][:, :, sensors]
-
-
-@dataclass(frozen=True)
-class Residuals:
-    """The residuals of a `BogieMisfit` at some bins, as a function of its coordinates x.
-
-    `subspaces` are those of each trip.
-    """
-
-    fit: BogieMisfit
-    bins: Tensor
-    subspaces: Sequence[SubspaceMisfit]
-
-    def __call__(self, x: FloatArray) -> FloatArray:
-        """Return those of all trips, then those of the priors, (n_points,)."""
-        return np.concatenate([*self.of_trips(x), self.fit.prior(x)])
-
-    def of_trips(self, x: FloatArray) -> list[FloatArray]:
-        """Return those of each trip."""
-        return [
-            subspace(self.fit.responses(x, i, self.bins)[None])[0].numpy()
-            for i, subspace in enumerate(self.subspaces)
-        ]
-
-    def jacobian(self, x: FloatArray) -> FloatArray:
-        """Return their derivatives, (n_points, n_coordinates)."""
-        n_shared, n_own = self.fit.n_shared, self.fit.n_own
-        blocks = []
-        for i, subspace in enumerate(self.subspaces):
-            slopes = subspace.derivative(*self.fit.responses_along(x, i, self.bins))[1].numpy().T
-            block = np.zeros((len(slopes), len(x)))
-            block[:, :n_shared] = slopes[:, :n_shared]
-            # the numbers of other trips do not affect this one
-            first = n_shared + n_own * i
-            block[:, first : first + n_own] = slopes[:, n_shared:]
-            blocks.append(block)
-        return np.concatenate([*blocks, np.diag(1 / self.fit.prior_deviations)])
-
-    def error_shares(self, x: FloatArray) -> FloatArray:
-        """Return the fraction of each residual's variance that is due to errors, (n_points,).
-
-        Those of priors are left out.
-        """
-        shares = []
-        for i, subspace in enumerate(self.subspaces):
-            of_bins = subspace.error_shares(self.fit.responses(x, i, self.bins))
-            n_of_bin = 2 * subspace.spectra.values.shape[-1] * subspace.n_inputs
-            shares.append(of_bins.repeat_interleave(n_of_bin).numpy())
-        return np.concatenate(shares)
-
-    def in_orders(self, x: FloatArray, orders: Sequence[Sequence[int]]) -> FloatArray:
-        """Return the rms residual of the first trip with its sensors in other orders.
-
-        `orders` (n_orders, n_sensors) are numbers of its sensors.
-        """
-        responses = self.fit.responses(x, 0, self.bins)
-        rows = torch.stack([responses[:, list(order)] for order in orders])
-        return self.subspaces[0](rows).square().mean(dim=1).sqrt().numpy()
-
-    @property
-    def expected(self) -> float:
-        """Mean square of a residual where the model is right."""
-        return self.subspaces[0].expected
-
-    @property
-    def n_independent(self) -> float:
-        """Number of independent residuals of all trips."""
-        shapes = [subspace.spectra.values.shape for subspace in self.subspaces]
-        n_inputs = self.subspaces[0].n_inputs
-        return sum(2 * n_bins * n * n_inputs for n_bins, n, _ in shapes) * self.expected

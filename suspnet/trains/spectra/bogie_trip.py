@@ -62,7 +62,7 @@ class BogieTrip(ShortRepr):
             squares = []
             for side in (*SIDES, "middle"):
                 ends = [
-                    next((i for i, place in enumerate(own) if is_at(place, end, side)), None)
+                    next((i for i, place in enumerate(own) if _is_at(place, end, side)), None)
                     for end in (below, above)
                 ]
                 if None not in ends:
@@ -81,7 +81,7 @@ class BogieTrip(ShortRepr):
         return [i for i, name in enumerate(sensors) if name not in self.lost]
 
 
-def is_at(place: str, kind: str, side: str) -> bool:
+def _is_at(place: str, kind: str, side: str) -> bool:
     """Return whether a place is of a kind and on a side."""
     return place.startswith(kind) and place.endswith(f"_{side}")
 
