@@ -39,7 +39,8 @@ RESULTS = TESTS.parent / "benchmarks" / "results"
 LEVELS = (0.5, 0.62, 0.75, 0.85, 0.92)
 PAYLOADS = (0.95, 1.18)
 KINDS = ("k_p", "c_p", "k_s", "c_s")
-RATE_HZ = 250.0
+RATE_HZ = 500.0
+"""At 250 Hz, tracks that are straight between samples shake contacts of 200 Hz: c_p errs by 8 %."""
 SPEED_M_PER_S = 70.0
 LATER_SEEDS = 1000
 """Between the seed of a train and that of its later trips, where these have another length."""

@@ -32,7 +32,7 @@ _NAMES = {
     "curves.protocols": "Protocol Task",
     "estimation.trained": "TrainedModel",
     "estimation.trip_settings": "TripSettings",
-    "trains.fits.worn_parts": "WornPart expected_losses least_losses worn_parts",
+    "trains.fits.worn_parts": "WornPart expected_losses false_verdicts least_losses worn_parts",
     "ground.parameters": "COMPONENTS PARAMETERS",
     "learning.baselines": "SVR CurveFit KernelRidge LinearRegression",
     "learning.msvr": "MSVR",

@@ -54,6 +54,7 @@ from suspnet.trains.fits.bogie_fit import commission_bogie as commission_bogie
 from suspnet.trains.fits.bogie_fit import fit_parts as fit_parts
 from suspnet.trains.fits.worn_parts import WornPart as WornPart
 from suspnet.trains.fits.worn_parts import expected_losses as expected_losses
+from suspnet.trains.fits.worn_parts import false_verdicts as false_verdicts
 from suspnet.trains.fits.worn_parts import least_losses as least_losses
 from suspnet.trains.fits.worn_parts import worn_parts as worn_parts
 from suspnet.trains.identification.bogie_trips import bogie_trip as bogie_trip

@@ -17,7 +17,8 @@ X, Y, Z = np.eye(3)
 RAIL_M = 0.75
 TORSION_MASS = 0.2  # over the frame's
 BODY, FRAMES, WHEELSETS = 0, (1, 2), (3, 4, 5, 6)
-FREE = ("q", "tau_1", "tau_2", "q_b", "tau_b", "z_e")
+ON_BODY = ("body_left", "body_right", "body_middle")  # places of sensors, with or without floor
+FREE = ("q", "tau_1", "tau_2", "q_b", "tau_b", "z_e", *ON_BODY)
 SIZE = 7 * 6 + len(FREE)
 INPUTS = 12  # height, angle and lateral place of the track under wheelsets 1 to 4
 
@@ -87,6 +88,11 @@ def moved(body, place, axis):
     return row
 
 
+def sign_of(place):
+    """Return 1 of a place on the left, -1 on the right, 0 in the middle."""
+    return {"left": 1.0, "right": -1.0, "middle": 0.0}[place.split("_")[-1]]
+
+
 class Train:
     """One vehicle at s = j omega: `system` maps its motion to forces, `drive` the track's."""
 
@@ -98,6 +104,7 @@ class Train:
         self.toward = 1.0 if vehicle.axle == "leading" else -1.0
         self.centres = self.ahead * pivot, -self.ahead * pivot
         self.axles = [self.toward * a * sign for sign in (1, -1, 1, -1)]
+        self.floors = [p for p in vehicle.sensors if p in ON_BODY and "floors" in self.parts]
         self.system = np.zeros((SIZE, SIZE), dtype=complex)
         self.drive = np.zeros((SIZE, INPUTS), dtype=complex)
         # the body's motion is that of its centre of mass
@@ -189,7 +196,7 @@ class Train:
         squares[18:42] = np.tile(n["wheelset_mass"] * own**2, 4)
         squares[42:45] = body / 2, *[frame * TORSION_MASS] * 2
         hung = 4 * n["empty"] * (1 - 1 / (1 + n["equipment_share"]))
-        squares[45:] = body / 2, body * n["body_roll_gyration"] ** 2, hung
+        squares[45:48] = body / 2, body * n["body_roll_gyration"] ** 2, hung
         if "equipment" in self.parts:
             squares[2] -= hung
         self.system += np.diag(squares) * s**2
@@ -197,12 +204,20 @@ class Train:
         modal = [self.mode("bending", 2 * n["empty"]), torsion, torsion]
         modal.append(self.mode("second", 2 * n["empty"]))
         modal.append(self.mode("twist", 4 * n["empty"] * n["body_roll_gyration"] ** 2))
-        self.system += np.diag([0] * 42 + modal + [0])
+        self.system += np.diag([0] * 42 + modal + [0] * 4)
         if "equipment" in self.parts:
             at = [self.ahead * n["equipment_ahead"], n["equipment_aside"], 0]
             above, below = moved(BODY, at - self.centre, Z), np.zeros(SIZE)
             above[42], below[47] = n["equipment_at_bending"], 1.0
+            above[45] = n["equipment_at_second"]
+            turned = n["twist_at_pivot"] * n["equipment_ahead"] / n["half_pivot_distance"]
+            above[46] = turned * n["equipment_aside"]
             self.add(self.mode("equipment", hung), above, below)
+        for place in self.floors:
+            at, mass = 42 + FREE.index(place), n[f"floor_mass_{place}"]
+            self.system[at, at] += mass * s**2
+            spring = 1 / n[f"floor_softness_{place}"] + n[f"floor_damping_{place}"] * s
+            self.add(mass * spring, np.eye(SIZE)[at], self.rise(place))
 
     def springs(self):
         n, parts, s = self.n, self.parts, self.s
@@ -299,7 +314,8 @@ class Train:
             keep[6 * body + 5] = "frame_yaw" in self.parts
             keep[43 + i] = "torsion" in self.parts
         modes = "second_bending", "body_torsion", "equipment"
-        keep[45:] = [part in self.parts for part in modes]
+        keep[45:48] = [part in self.parts for part in modes]
+        keep[48:] = [place in self.floors for place in ON_BODY]
         for body in WHEELSETS:
             keep[6 * body + 1] = keep[6 * body + 5] = "creep" in self.parts
             keep[6 * body + 2] = keep[6 * body + 3] = "track" in self.parts
@@ -327,12 +343,17 @@ class Train:
             return moved(FRAMES[0], [ahead, 0, 0], Y)
         return moved(WHEELSETS[axle - 1], [0, 0, 0], Y)
 
+    def rise(self, place):
+        """Return the rise of the body where a sensor is, of its local floor none."""
+        n = self.n
+        at = [self.centres[0] + self.vehicle.body_sensor_m, sign_of(place) * n["body_lateral"], 0]
+        return self.body(at, Z, 1, (n["bending_at_sensor"], n["second_at_sensor"]))
+
     def upwards(self, place):
-        n, v = self.n, self.vehicle
-        y = {"left": 1.0, "right": -1.0, "middle": 0.0}[place.split("_")[-1]]
+        n, y = self.n, sign_of(place)
         if place.startswith("body"):
-            at = [self.centres[0] + v.body_sensor_m, y * n["body_lateral"], 0]
-            return self.body(at, Z, 1, (n["bending_at_sensor"], n["second_at_sensor"]))
+            is_floor = place in self.floors
+            return np.eye(SIZE)[42 + FREE.index(place)] if is_floor else self.rise(place)
         axle = 1 if "axle1" in place else 2
         if place.startswith("frame"):
             ahead = 0.0 if "centre" in place else self.axles[axle - 1]
@@ -351,9 +372,6 @@ def measured(vehicle, train):
         row = train.seen(place) @ motion
         if i and "sensors" in vehicle.parts:
             row = row * n[f"gain_{place}"] * cmath.exp(-train.s * n[f"delay_{place}"])
-        if place.startswith("body") and "floors" in vehicle.parts:
-            spring = 1 / n[f"floor_softness_{place}"] + n[f"floor_damping_{place}"] * train.s
-            row = row * spring / (spring + train.s**2)
         rows.append(row)
     return np.array(rows)
 

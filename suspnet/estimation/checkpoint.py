@@ -41,7 +41,7 @@ from suspnet.ground.types import FloatArray
 from suspnet.learning import METHODS, Scaling
 from suspnet.vehicle import GENERATORS, SpatialVehicle, Vehicle
 
-SCHEMA_VERSION = 13
+SCHEMA_VERSION = 14
 FEATURES = "features."
 """Name prefix of the feature set's arrays."""
 CALIBRATED: dict[str, tuple[str, Any]] = {

@@ -149,7 +149,7 @@ UNMEASURED = tuple(quantity.name for quantity in QUANTITIES)
 """Names of the quantities: columns of ratios after ``PARAMETERS``, the speed first."""
 _OWN = {"healthy": "healthy {} over the mean of its kind"}
 _OWN |= {"other": "{} of the other bogie over the mean of its kind"}
-FLOOR = "softness of the local floor below"
+FLOOR = "the local floor below"
 CROSS_AXIS = "share of the lateral motion that is read by"
 SPATIAL_QUANTITIES = (
     *(
@@ -164,11 +164,17 @@ SPATIAL_QUANTITIES = (
         for p in PLACES
     ),
     *(
-        Quantity("floors", f"floor_softness_{p}", 0.5, "s²", f"{FLOOR} {p}", 1.3e-4, True)
+        Quantity("floors", f"floor_mass_{p}", 1.0, "kg", f"mass of {FLOOR} {p}", 50.0)
         for p in PLACES
     ),
     *(
-        Quantity("floors", f"floor_damping_{p}", 0.5, "1/s", f"damping of the {FLOOR} {p}", 10.0)
+        Quantity(
+            "floors", f"floor_softness_{p}", 0.5, "s²", f"softness of {FLOOR} {p}", 1.3e-4, True
+        )
+        for p in PLACES
+    ),
+    *(
+        Quantity("floors", f"floor_damping_{p}", 0.5, "1/s", f"damping of {FLOOR} {p}", 10.0)
         for p in PLACES
     ),
     *(

@@ -26,6 +26,8 @@ its lateral place, the stretches are::
     axle guide         2 kappa_g     y_i + eps chi_i + h_g theta_i - y_w
     axle boxes         2 kappa_b     (b_p / a) (chi_i - chi_w)
     bending, torsion   kappa_q, k_t  q, tau_i
+    equipment          kappa_e       z_e less the rise of the body where it hangs
+    local floor        kappa_f       z_f less the rise of the body where its sensor is
 
     track, rail        k_w / 2       z_w + s b_r theta_w - w - s b_r x
 
@@ -37,7 +39,8 @@ speed V, half gauge b_r, conicity lambda and creep coefficients of a wheel, c al
     F   = -2 rho c (s (y_w + r_0 x) / V - t chi_w / a)
     M   = -2 c b_r (lambda (y_w + r_0 x - v) / r_0 + s b_r t chi_w / (a V))
 
-A sensor sees the rise of its place, and with cross_axis a share of the motion to the left there::
+A sensor sees the rise of its place, on the body that of its floor, and with cross_axis a share of
+the motion to the left there::
 
     y + (1 + f m / L) chi + h_2 theta   (body, m ahead of the pivot),   y_1 + eps chi_1,   y_w
 
@@ -81,6 +84,8 @@ TORSION_MASS = 0.2
 """Modal mass of the torsion over the frame's mass."""
 LEAST_COMPLIANCE = 1e-13
 """Least compliance of a track that counts as other than rigid, [m/N]; springs have 1e-7."""
+SOFTNESS = 1e-9
+"""Least softness of a local floor that counts as other than rigid, [s^2]; one at 13 Hz has 1e-4."""
 SIGNS = {"left": 1.0, "right": -1.0, "middle": 0.0}
 """Lateral place of a side in units of that of the left one."""
 
@@ -94,11 +99,13 @@ class Joint:
     pull: Row | None = None
 
 
-def coordinates(parts: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the coordinates of a vehicle with these parts."""
+def coordinates(layout: Layout) -> tuple[str, ...]:
+    """Return the names of the coordinates of a vehicle."""
+    parts = layout.parts
     rigid = ("z", "phi", "y", "theta", "z_1", "psi_1", "theta_1", "z_2", "psi_2", "theta_2")
     further = {"bending": ("q",), **ADDITIONS}
-    return rigid + tuple(name for part, names in further.items() if part in parts for name in names)
+    added = (name for part, names in further.items() if part in parts for name in names)
+    return (*rigid, *added, *(f"z_{place}" for place in layout.floors))
 
 
 def wheel_inputs(parts: Sequence[str]) -> tuple[str, ...]:
@@ -134,7 +141,8 @@ def masses(layout: Layout, p: Mapping[str, Tensor]) -> list[Tensor]:
         mass, rolled = p["wheelset_mass"], p["wheelset_yaw_gyration"] ** 2
         mass_of |= {f"y_w{wheel}": mass, f"chi_w{wheel}": mass * turned}
         mass_of |= {f"z_w{wheel}": mass, f"theta_w{wheel}": mass * rolled}
-    return [mass_of[name] for name in coordinates(parts)]
+    mass_of |= {f"z_{place}": p[f"floor_mass_{place}"] for place in layout.floors}
+    return [mass_of[name] for name in coordinates(layout)]
 
 
 def _hung_kg(layout: Layout, p: Mapping[str, Tensor]) -> Tensor:
@@ -156,6 +164,7 @@ def acting(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
         joints.append(Joint(mode_element(p, "twist", inertia), {"tau_b": 1.0}))
     if "equipment" in parts:
         joints.append(_hung(layout, p))
+    joints += [_floor(layout, p, place) for place in layout.floors]
     if "torsion" in parts:
         torsion = mode_element(p, "torsion", 2 * p["bogie_mass"] * TORSION_MASS)
         joints += [Joint(torsion, {f"tau_{i}": 1.0}) for i in "12"]
@@ -173,8 +182,23 @@ def _hung(layout: Layout, p: Mapping[str, Tensor]) -> Joint:
     ahead = p["equipment_ahead"] / p["half_pivot_distance"]
     aside = _across(layout, p, p["equipment_aside"])
     body: Row = {"z": -1.0, "phi": -_along(layout, p, ahead), "theta": -aside}
-    bent: Row = {"q": -p["equipment_at_bending"]}
-    return Joint(mode_element(p, "equipment", _hung_kg(layout, p)), {"z_e": 1.0, **body, **bent})
+    body |= {"q": -p["equipment_at_bending"], "q_b": -p["equipment_at_second"]}
+    # the body's torsion grows evenly from its middle to the pivots
+    body |= {"tau_b": -ahead * p["twist_at_pivot"] * p["equipment_aside"]}
+    return Joint(mode_element(p, "equipment", _hung_kg(layout, p)), {"z_e": 1.0, **body})
+
+
+def _floor(layout: Layout, p: Mapping[str, Tensor], place: str) -> Joint:
+    """Return what holds the local floor below a sensor of the body."""
+    mass, softness = p[f"floor_mass_{place}"], _away_from_0(p[f"floor_softness_{place}"], SOFTNESS)
+    held = {name: -factor for name, factor in _body_rise(layout, p, place).items()}
+    floor = Element(mass / softness, mass * p[f"floor_damping_{place}"])
+    return Joint(floor, {f"z_{place}": 1.0, **held})
+
+
+def _away_from_0(value: Tensor, least: float) -> Tensor:
+    """Return numbers whose inverse is finite: 0 is rigid, and a search may step to either side."""
+    return torch.where(value.abs() < least, torch.where(value < 0, -least, least), value)
 
 
 def _body_roll(p: Mapping[str, Tensor], sigma: float, factor: Tensor | float) -> Row:
@@ -216,10 +240,7 @@ def _roll(parts: Sequence[str], wheel: int) -> str:
 
 def _carried(p: Mapping[str, Tensor]) -> list[Joint]:
     """Return the track under each rail of a wheelset."""
-    # 0 is rigid; a search may step to either side of it
-    compliance = p["track_compliance"]
-    least = torch.where(compliance < 0, -LEAST_COMPLIANCE, LEAST_COMPLIANCE)
-    stiffness = 1 / torch.where(compliance.abs() < LEAST_COMPLIANCE, least, compliance)
+    stiffness = 1 / _away_from_0(p["track_compliance"], LEAST_COMPLIANCE)
     rail = Element(stiffness, p["track_time"] * stiffness).times(0.5)
     joints = []
     for wheel in range(1, 5):
@@ -368,13 +389,20 @@ def _axle_of(place: str) -> tuple[int, float]:
     return axle, (0.0, 1.0, -1.0)[axle]
 
 
+def _body_rise(layout: Layout, p: Mapping[str, Tensor], place: str) -> Row:
+    """Return the rise of the body where a sensor is, of its local floor none."""
+    lateral = SIGNS[place.rpartition("_")[2]] * p["body_lateral"]
+    bent: Row = {"z": 1.0, "q": p["bending_at_sensor"], "phi": _ahead(layout, p)}
+    bent |= {"q_b": p["second_at_sensor"]}
+    return {**bent, **_body_roll(p, 1.0, lateral), "theta": _across(layout, p, lateral)}
+
+
 def _upwards(layout: Layout, p: Mapping[str, Tensor], place: str) -> Row:
-    sign = SIGNS[place.rpartition("_")[2]]
+    if place in layout.floors:
+        return {f"z_{place}": 1.0}
     if place.startswith("body"):
-        lateral = sign * p["body_lateral"]
-        bent: Row = {"z": 1.0, "q": p["bending_at_sensor"], "phi": _ahead(layout, p)}
-        bent |= {"q_b": p["second_at_sensor"]}
-        return {**bent, **_body_roll(p, 1.0, lateral), "theta": _across(layout, p, lateral)}
+        return _body_rise(layout, p, place)
+    sign = SIGNS[place.rpartition("_")[2]]
     axle, end = _axle_of(place)
     if place.startswith("frame"):
         return _corner(1, end, sign * p["frame_lateral"], p)
@@ -402,7 +430,7 @@ def by_axle(layout: Layout, wheels: Sequence[T]) -> list[T]:
 
 def spatial_motion(layout: Layout, p: Mapping[str, Tensor], sensors: Sequence[str]) -> LinearSystem:
     """Return the equations of motion of one vehicle, its inputs as `wheel_inputs` names them."""
-    names = [*coordinates(layout.parts), *wheel_inputs(layout.parts)]
+    names = [*coordinates(layout), *wheel_inputs(layout.parts)]
     units = dict(zip(names, np.eye(len(names)), strict=True))
 
     def vector(row: Row) -> FloatArray:

@@ -185,7 +185,7 @@ def equations(
 ) -> MotionEquations:
     """Return the equations of vehicles whose numbers `p` have the shape (n_vehicles, 1)."""
     parts = layout.parts
-    moving, wheels = coordinates(parts), wheel_inputs(parts)
+    moving, wheels = coordinates(layout), wheel_inputs(parts)
     joints = acting(layout, p)
     elements = {id(joint.element): joint.element for joint in joints}
     place = {key: i for i, key in enumerate(elements)}
@@ -201,7 +201,7 @@ def equations(
         inertia=inertia,
         inputs=_inputs(layout, p, omega).permute(0, 3, 1, 2),
         places=_matrix(sensed(layout, p, sensors), (*moving, *wheels), like),
-        gains=_gains(parts, p, sensors, omega) if {"sensors", "floors"} & {*parts} else None,
+        gains=_gains(p, sensors, omega) if "sensors" in parts else None,
     )
 
 
@@ -275,26 +275,10 @@ def _sizes(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
     return torch.stack(sizes, dim=1)
 
 
-def _gains(
-    parts: Sequence[str], p: Mapping[str, Tensor], sensors: Sequence[str], omega: Tensor
-) -> Tensor:
-    """Return what sensors make of an acceleration.
-
-    Sensitivity and delay are relative to the first one. The floor below a sensor of the body,
-    softness s and damping d, moves by (1 + j omega s d) / (1 - omega^2 s + j omega s d).
-    """
-    unit = torch.ones_like(p["speed"] * omega)
-    gains = []
-    for i, name in enumerate(sensors):
-        gain = torch.complex(unit, torch.zeros_like(unit))
-        if i and "sensors" in parts:
-            gain = phasor(omega * p[f"delay_{name}"]) * p[f"gain_{name}"]
-        if "floors" in parts and name.startswith("body"):
-            softness = p[f"floor_softness_{name}"] * omega
-            lagging = torch.complex(unit, softness * p[f"floor_damping_{name}"])
-            gain = gain * lagging / (lagging - softness * omega)
-        gains.append(gain)
-    return torch.stack(gains, dim=1)
+def _gains(p: Mapping[str, Tensor], sensors: Sequence[str], omega: Tensor) -> Tensor:
+    """Return sensitivity and delay of sensors, relative to the first one."""
+    gains = [phasor(omega * p[f"delay_{name}"]) * p[f"gain_{name}"] for name in sensors[1:]]
+    return torch.stack([torch.ones_like(gains[0]), *gains], dim=1)
 
 
 Numbers = Callable[[Tensor], dict[str, Tensor]]
@@ -343,7 +327,7 @@ def derivatives(
     of 0 are left out of the derivatives (n_derivatives, n_inputs, n_sensors, n_freq).
     """
     steps = STEP * torch.diag(sizes)[sizes != 0]
-    n_rows = MOST_NUMBERS // (len(coordinates(layout.parts)) * len(omega))
+    n_rows = MOST_NUMBERS // (len(coordinates(layout)) * len(omega))
     slopes: list[Tensor] = []
     for some in steps.split(max(1, n_rows // 2)):
         # one call for the vehicle and its changes, as one for few rows takes as long as for many
@@ -359,5 +343,5 @@ def derivatives(
 
 
 def _n_at_once(layout: Layout, omega: Tensor) -> int:
-    n = len(coordinates(layout.parts))
+    n = len(coordinates(layout))
     return max(1, MOST_NUMBERS // (len(omega) * n * (n + len(wheel_inputs(layout.parts)))))

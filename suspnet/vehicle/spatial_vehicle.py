@@ -37,6 +37,7 @@ from suspnet.vehicle.spatial_response import (
     responses,
 )
 from suspnet.vehicle.vehicle import angular
+from suspnet.vehicle.vertical_motion import Layout
 from suspnet.vehicle.vertical_vehicle import VehicleFamily
 
 
@@ -121,9 +122,8 @@ class SpatialVehicle(VehicleFamily):
         measuring |= {f"cross_axis_{place}" for place in self._places}
         measuring |= {
             f"floor_{kind}_{place}"
-            for kind in ("softness", "damping")
-            for place in self._places
-            if place.startswith("body")
+            for kind in ("mass", "softness", "damping")
+            for place in self._on_body
         }
         return (
             # those of yaw dampers are among its own
@@ -163,6 +163,15 @@ class SpatialVehicle(VehicleFamily):
     def _places(self) -> tuple[str, ...]:
         assert self.sensors is not None
         return self.sensors
+
+    @property
+    def _on_body(self) -> tuple[str, ...]:
+        return tuple(place for place in self._places if place.startswith("body"))
+
+    @property
+    def _layout(self) -> Layout:
+        layout = super()._layout
+        return replace(layout, floors=self._on_body) if "floors" in self.parts else layout
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -230,7 +239,7 @@ class SpatialVehicle(VehicleFamily):
 
         The inputs are the height of the track under wheelsets 1 to 4 [m], its angle [rad] and, if
         `inputs` has it, its alignment [m]; the outputs are the sensors. Sensitivity and delay of
-        sensors, floors below them, and what excites single wheelsets, are no part of it.
+        sensors, and what excites single wheelsets, are no part of it.
         """
         return spatial_motion(self._layout, self._numbers(as_tensor(ratios)[None]), self._places)
 

@@ -57,7 +57,8 @@ BOGIES = (("", "1", 1.0, ("a", "b")), ("other_", "2", -1.0, ("c", "d")))
 class Layout:
     """Parts of a vehicle and places of its sensors, as the fields of ``VerticalVehicle``.
 
-    `empty_body_kg`: M_s without payload [kg], for which the bending frequency holds.
+    `empty_body_kg`: M_s without payload [kg], for which the bending frequency holds; `floors`:
+    places of sensors of the body that stand on local floors.
     """
 
     bogie: str
@@ -66,6 +67,7 @@ class Layout:
     body_sensor_m: float
     parts: tuple[str, ...]
     empty_body_kg: float
+    floors: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from suspnet.trains.fits.worn_parts import (
     SHARED,
     STIFFER,
     USUAL,
+    false_verdicts,
     least_losses,
     worn_parts,
 )
@@ -140,3 +141,35 @@ def test_a_part_is_named_from_its_least_loss_on(misfit):
     assert set(least_losses(replace(bogie, scatter=never)).values()) == {1.0}
     with pytest.raises(ValueError, match="scatter is not known"):
         least_losses(replace(bogie, scatter=None))
+
+
+def scattering(own, n_trips):
+    """Return a bogie of which each part scatters by `own` beyond noise of 0.5 %."""
+    noise = tuple(map(tuple, (0.005**2 * np.eye(12)).tolist()))
+    scatter = HealthyScatter((own,) * 4, (0.0,) * 4, n_trips, noise)
+    return CommissionedBogie(None, None, np.ones(n_trips), 1.0, True, scatter=scatter)
+
+
+def test_healthy_trips_accuse_as_often_as_draws_of_them():
+    bogie, n = scattering(0.05, 3), 2000
+    rng = np.random.default_rng(7)
+    spread = np.sqrt(2 / rng.chisquare(2, (n, 1)))
+    logs = 0.005 * rng.standard_normal((n, 12)) + 0.05 * spread * rng.standard_normal((n, 12))
+    covariance = bogie.scatter.student(0.9) ** 2 * (0.005**2 + 0.05**2) * np.eye(13)
+    accused = [
+        bool(worn_parts(PartsEstimate(np.exp(np.append(e, 0.0)), covariance, 1.0, True, 0.9)))
+        for e in logs
+    ]
+    share = np.mean(accused)
+    assert 0.02 < share < 0.5
+    scatter = math.sqrt(share * (1 - share) / n)
+    assert false_verdicts(bogie) == pytest.approx(share, abs=4 * scatter)
+    assert false_verdicts(bogie) == false_verdicts(bogie) != false_verdicts(bogie, seed=1)
+
+
+def test_fewer_healthy_trips_accuse_more_often():
+    rates = [false_verdicts(scattering(0.02, n)) for n in (3, 6, 20)]
+    assert rates[0] > rates[1] > rates[2]
+    assert false_verdicts(scattering(0.0, 6)) < 1e-4
+    with pytest.raises(ValueError, match="scatter is not known"):
+        false_verdicts(replace(scattering(0.0, 6), scatter=None))

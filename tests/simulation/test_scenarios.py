@@ -97,7 +97,7 @@ def test_pay_load_and_spread_are_uniform_in_their_ranges():
             {"changes": {"k_p": FADE | {"ratio": 0.0}}},
             "k_p.ratio` must be a finite number > 0, got 0",
         ),
-        ({"effects": ["floors"]}, "scenario.effects` must be one of .*track.*, got 'floors'"),
+        ({"effects": ["wheels"]}, "scenario.effects` must be one of .*track.*, got 'wheels'"),
     ],
 )
 def test_impossible_scenarios_are_rejected(options, message):

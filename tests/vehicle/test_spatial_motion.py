@@ -14,7 +14,7 @@ from suspnet.vehicle.motion import SampledMotion
 from suspnet.vehicle.quantities import ADDITIONS, PARTS, PLACES
 
 FREQUENCIES = torch.tensor([0.3, 0.9, 1.9, 5.4, 11.0, 20.0]).double()
-OF_SENSORS = ("sensors", "wheelsets", "floors")
+OF_SENSORS = ("sensors", "wheelsets")
 MOVING = tuple(part for part in (*PARTS, *ADDITIONS) if part not in OF_SENSORS)
 COMBINATIONS = [(), *((part,) for part in MOVING if part in ADDITIONS), MOVING]
 HEALTHY = torch.ones(13).double()

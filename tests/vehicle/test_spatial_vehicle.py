@@ -45,6 +45,7 @@ def test_missing_columns_are_healthy_and_nominal():
             "yaw_height",
             "equipment_ahead",
             "equipment_aside",
+            "equipment_at_second",
             "load_ahead",
             "load_aside",
         )

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from suspnet.estimation.commissioned_bogie import CommissionedBogie, student_factor
+from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScatter, student_factor
 from suspnet.ground.findings import WORN, WORN_ONE_OF, Finding, together
 from suspnet.ground.parameters import BOGIE_PARTS, kind_of, part_words
 from suspnet.ground.tensors import threads
@@ -51,6 +51,8 @@ MOST_ODDS = 1000.0
 """Odds above which no number is reported: they are those of a model."""
 
 
+N_HEALTHY = 100_000
+"""Healthy trips that are drawn to find how many of them are given a verdict."""
 MOST_LOSS, LOSS_STEP = 0.8, 1e-3
 """Largest loss that is tried where the least one that is named is asked for, and its step."""
 
@@ -94,7 +96,8 @@ def worn_parts(estimate: PartsEstimate) -> list[WornPart]:
     covariance = estimate.covariance[: len(BOGIE_PARTS), : len(BOGIE_PARTS)] + _usual()
 
     def log_posterior(worn: Sequence[int]) -> float:
-        return _log_probability(logs, covariance, worn) + len(worn) * math.log(RARE / (1 - RARE))
+        evidence = float(_log_probability(logs, covariance, worn))
+        return evidence + len(worn) * math.log(RARE / (1 - RARE))
 
     worn: list[int] = []
     for _ in BOGIE_PARTS:  # each round adds a part or ends
@@ -131,11 +134,8 @@ def least_losses(bogie: CommissionedBogie, level: float = 0.9) -> dict[str, floa
     1 if it is not named at ``MOST_LOSS`` either. ValueError if their scatter is not known, or the
     sensors do not show each part.
     """
-    if bogie.scatter is None:
-        raise ValueError("how the healthy trips scatter is not known")
-    if len(bogie.scatter.noise) != len(BOGIE_PARTS):
-        raise ValueError("the sensors do not show each part: no part is named")
-    noise, wider = np.pad(np.array(bogie.scatter.noise), (0, 1)), bogie.scatter.student(level) ** 2
+    scatter = _scatter_of_parts(bogie)
+    noise, wider = np.pad(np.array(scatter.noise), (0, 1)), scatter.student(level) ** 2
     return _least_losses(lambda logs: wider * (noise + beyond_noise(bogie, logs)), level)
 
 
@@ -153,6 +153,46 @@ def expected_losses(
     noise = expected_noise(fit, fit.start(), n_healthy)
     wider = student_factor(n_healthy, level) ** 2
     return _least_losses(lambda _: wider * noise, level)
+
+
+@threads(1)
+def false_verdicts(bogie: CommissionedBogie, level: float = 0.9, seed: int = 0) -> float:
+    """Return the fraction of healthy trips like those of the commissioning that accuse a part.
+
+    With N the covariance of noise and V that of the scatter, which n healthy trips have shown,
+    the logarithms of the parts of such trips are drawn, ``N_HEALTHY`` of them, from ::
+
+        N(0, N + V (n - 1) / chi^2_(n - 1))
+
+    which is Student's distribution where V is all, and each is judged as by `worn_parts`, with
+    tau^2 (N + V). ValueError as of `least_losses`.
+    """
+    scatter = _scatter_of_parts(bogie)
+    noise, beyond = np.array(scatter.noise), scatter.covariance
+    rng, free = np.random.default_rng(seed), scatter.n_trips - 1
+    size = N_HEALTHY, len(noise)
+    spread = np.sqrt(free / rng.chisquare(free, N_HEALTHY))[:, None]
+    logs = rng.standard_normal(size) @ np.linalg.cholesky(noise).T
+    values, vectors = np.linalg.eigh(beyond)
+    roots = vectors * np.sqrt(np.maximum(values, 0.0))
+    logs += spread * (rng.standard_normal(size) @ roots.T)
+    covariance = scatter.student(level) ** 2 * (noise + beyond) + _usual()
+    healthy = _log_probability(logs, covariance, [])
+    accused = np.zeros(N_HEALTHY, dtype=bool)
+    for event in _events([]):
+        prior = len(event) * math.log(RARE / (1 - RARE))
+        gains = _log_probability(logs, covariance, event) + prior - healthy
+        accused |= gains >= math.log(ODDS)
+    return float(accused.mean())
+
+
+def _scatter_of_parts(bogie: CommissionedBogie) -> HealthyScatter:
+    """Return the scatter of the healthy trips; ValueError if it is not that of each part."""
+    if bogie.scatter is None:
+        raise ValueError("how the healthy trips scatter is not known")
+    if len(bogie.scatter.noise) != len(BOGIE_PARTS):
+        raise ValueError("the sensors do not show each part: no part is named")
+    return bogie.scatter
 
 
 def _least_losses(covariance: Callable[[FloatArray], FloatArray], level: float) -> dict[str, float]:
@@ -195,14 +235,18 @@ def _usual() -> FloatArray:
     return np.diag(own**2) + np.where(kinds[:, None] == kinds, shared**2, 0.0)
 
 
-def _log_probability(logs: FloatArray, covariance: FloatArray, worn: Sequence[int]) -> float:
-    """Return log P(e | W) up to a constant, with the prior of the side to which each part wears."""
+def _log_probability(logs: FloatArray, covariance: FloatArray, worn: Sequence[int]) -> FloatArray:
+    """Return log P(e | W) up to a constant, with the prior of the side to which each part wears.
+
+    `logs` (..., 12), the result (...).
+    """
     whole = covariance.copy()
     chosen = list(worn)
     whole[chosen, chosen] += WEAR**2
     sign, size = np.linalg.slogdet(whole)
     assert sign > 0
-    weighted = np.linalg.solve(whole, logs)
+    weighted = logs @ np.linalg.inv(whole)
     stiffer = np.array([STIFFER[BOGIE_PARTS[j][0]] for j in chosen])
-    sides = np.where(weighted[chosen] > 0, stiffer, 1 - stiffer)
-    return float(-0.5 * (logs @ weighted + size) + np.log(2 * sides).sum())
+    sides = np.where(weighted[..., chosen] > 0, stiffer, 1 - stiffer)
+    squares = np.sum(logs * weighted, axis=-1)
+    return np.asarray(-0.5 * (squares + size) + np.log(2 * sides).sum(axis=-1))

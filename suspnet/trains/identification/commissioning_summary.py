@@ -15,7 +15,7 @@ from suspnet.ground.parameters import BOGIE_PARTS, PARAMETERS, kind_of
 from suspnet.ground.types import FloatArray
 from suspnet.trains.fits.bogie_fit import EXPLAINED, FURTHER_PARTS
 from suspnet.trains.fits.commissioning import Commissioned
-from suspnet.trains.fits.worn_parts import least_losses
+from suspnet.trains.fits.worn_parts import N_HEALTHY, false_verdicts, least_losses
 from suspnet.trains.identification.healthy_trips import HealthyTrips
 from suspnet.vehicle.quantities import (
     MASS_DEVIATION,
@@ -224,10 +224,13 @@ def errors_of_parts(bogie: CommissionedBogie, healthy: HealthyTrips) -> str:
 
 
 def reach_of_parts(bogie: CommissionedBogie) -> str:
-    """Return a sentence on the loss from which parts are named, the worst of each kind."""
+    """Return from which loss parts are named, the worst of each kind, and how often wrongly."""
     if bogie.scatter is None or not bogie.generator.shows_parts:
         return ""
-    return Finding("named-from", **hardest_losses(least_losses(bogie)))
+    wrongly = Finding(
+        "healthy-accused", n=N_HEALTHY, n_accused=round(N_HEALTHY * false_verdicts(bogie))
+    )
+    return together([Finding("named-from", **hardest_losses(least_losses(bogie))), wrongly], " ")
 
 
 def hardest_losses(losses: Mapping[str, float]) -> dict[str, float]:
