@@ -19,13 +19,16 @@ NOISE = np.array([1.0, 1.5, 0.5, 0.7, 0.2, 0.3])
 START = torch.full((M,), 0.7, dtype=torch.float64)
 
 
-def drawn(shares, seed=0, n_averages=N_AVERAGES):
+DENSITY = 900.0, 400.0, 200.0
+
+
+def drawn(shares, seed=0, n_averages=N_AVERAGES, density=DENSITY):
     """Return a trip's matrix, H (p, m, n_freq) and h (p, n_wheels, m, n_freq)."""
     rng = np.random.default_rng(seed)
     alone = complex_normal(rng, P, N_WHEELS, M, N_FREQ)
     delays = np.exp(2j * np.pi * rng.uniform(size=(N_WHEELS, N_FREQ)))
     common = np.einsum("kwmf,wf->kmf", alone, delays)
-    density = np.array([900.0, 400.0, 200.0])
+    density = np.array(density)
     inputs = np.sqrt(density)[:, None, None] * complex_normal(rng, P, N_FREQ, n_averages)
     own = complex_normal(rng, P, N_WHEELS, N_FREQ, n_averages)
     own *= np.sqrt(density * shares)[:, None, None, None]
@@ -46,6 +49,17 @@ def test_noise_of_each_sensor_is_found():
     assert float(found.shares.max()) < 4e-4
 
 
+@pytest.mark.parametrize("weak", [0.0, 0.02, 0.1, 1.0])
+@pytest.mark.parametrize("n_averages", [30, 60])
+def test_inputs_that_hardly_reach_the_sensors_hide_no_noise(weak, n_averages):
+    """With the correction for strong inputs it is 5 to 15 % too small up to 0.02."""
+    ratios = []
+    for seed in range(4):
+        trip = drawn(np.zeros(P), seed, n_averages, (900.0, 400.0, weak))
+        ratios.append(trip_noise(*trip, START).densities.numpy() / NOISE)
+    assert np.mean(ratios) == pytest.approx(1, abs=0.08 if weak < 0.02 else 0.04)
+
+
 @pytest.mark.parametrize("shares", [(0.01, 0.01, 0.01), (0.05, 0.02, 0.0)])
 def test_shares_of_single_wheelsets_are_found(shares):
     spectra, common, alone = drawn(np.array(shares))
@@ -57,7 +71,7 @@ def test_matrix_is_that_of_the_formula():
     spectra, common, alone = drawn(np.array([0.01, 0.01, 0.01]), n_averages=2000)
     found = trip_noise(spectra, common, alone, START)
     expected = np.diag(NOISE).astype(complex)
-    for k, density in enumerate((900.0, 400.0, 200.0)):
+    for k, density in enumerate(DENSITY):
         for w in range(N_WHEELS):
             one = alone[k, w, :, 17].numpy()
             expected = expected + 0.01 * density * np.outer(one, one.conj())

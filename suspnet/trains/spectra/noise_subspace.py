@@ -23,12 +23,16 @@ The shares a_k, b_c and n are those for which N is closest to what S has beyond 
 directions: with L the Cholesky factor of N, U the eigenvectors of the m - p smallest eigenvalues
 lambda of L^-1 S L^-* and n_a averages, by non-negative least squares over all bins ::
 
-    U^* L^-1 N(n, a, b) L^-* U = n_a / (n_a - p) diag(lambda)
+    U^* L^-1 N(n, a, b) L^-* U = diag(lambda) / (1 - sum_k Lambda_k / (Lambda_k - 1) / n_a)
 
-Leakage needs no share: its size is known. N in L and in U is that of the round before. The smallest
-eigenvalues do not depend on H, so that errors of the vehicle are not taken for noise.
+The p largest eigenvalues Lambda_k draw noise into their own directions, the more the closer they
+are to 1 (Lawley, Biometrika 43, 128, 1956). With n_a / (n_a - p), which is right for strong inputs,
+N would be a fifth too small where the alignment hardly reaches the sensors. Leakage needs no share:
+its size is known. N in L and in U is that of the round before. The smallest eigenvalues do not
+depend on H, so that errors of the vehicle are not taken for noise.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -47,6 +51,8 @@ LEAST_NOISE = 1e-3
 """Least noise of a sensor over that of the first round."""
 SPACING_HZ = 2.0
 """Distance of the frequencies between which shares of dampers' forces are interpolated."""
+MOST_TAKEN = 0.5
+"""Largest fraction of the noise that inputs are taken to have drawn into their own directions."""
 SMOOTH_BINS = 9
 """Bins over which the density of an input is averaged."""
 
@@ -137,7 +143,8 @@ def trip_noise(
         power, vectors = torch.linalg.eigh(white)
         # the smallest eigenvalues belong to directions without motion, which hold noise alone
         left = root.mH @ vectors[:, :, : m - p]
-        target = torch.diag_embed(power[:, : m - p] * n_averages / (n_averages - p))
+        left_of_noise = _left_of_noise(power[:, m - p :], n_averages)
+        target = torch.diag_embed(power[:, : m - p] / left_of_noise[:, None])
         densities = _densities(white, root @ responses.permute(2, 1, 0))
         leaked = torch.zeros_like(white) if leakage is None else leakage.matrix(densities)
         target = target - left.mH @ leaked @ left
@@ -159,6 +166,13 @@ def trip_noise(
     shares, of_forces = numbers[m:].split([len(alone), len(patterns) - m - len(alone)])
     n_kinds = 1 if forces is None else len(forces.changes)
     return TripNoise(noise, shares, of_forces.unflatten(0, (n_kinds, -1)), matrix)
+
+
+def _left_of_noise(power: Tensor, n_averages: float) -> Tensor:
+    """Return the fraction of the noise that the p largest eigenvalues leave, (n_freq,)."""
+    above = (power - 1).clamp(min=1 / math.sqrt(n_averages))
+    taken = ((1 + above) / above).sum(dim=1) / n_averages
+    return 1 - taken.clamp(max=MOST_TAKEN)
 
 
 def _densities(white: Tensor, responses: Tensor) -> Tensor:
