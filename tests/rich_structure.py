@@ -348,15 +348,17 @@ class Structure:
     def _rail(self, wheelset):
         """Let a wheelset run on the rails: creep, conicity, gravity, contact."""
         t, name, rail = self.train, f"wheelset {wheelset}", f"rail {wheelset}"
-        y, yaw = self.row[name, "y"], self.row[name, "yaw"]
-        aside, half = y - self.row[rail, "y"], t.contact_half_m
+        yaw, half = self.row[name, "yaw"], t.contact_half_m
+        # of the contacts, which lie a wheel's radius below the axle
+        low = self.bodies[name].motion((0.0, 0.0, -t.wheel_radius_m))[1]
+        aside = low - self.row[rail, "y"]
         self.parallel.add(aside, t.gravity_n_per_m, 0.0, "gravity")
-        i, j = (self.names.index((name, freedom)) for freedom in ("y", "yaw"))
+        n, j = len(self.names), self.names.index((name, "yaw"))
         # creepages of two wheels: y' / v - psi aside, l psi' / v + conicity (y - y_r) / r_0 ahead;
         # in reverse psi and conicity act the other way, as v is negative and forces oppose slip
         ahead = -2 * t.creep_n if t.reverse else 2 * t.creep_n
-        self._own_damping[i] += 2 * t.creep_n / t.speed_m_per_s * y
-        self._own_stiffness[i] -= ahead * yaw
+        self._own_damping += 2 * t.creep_n / t.speed_m_per_s * np.outer(low[:n], low)
+        self._own_stiffness -= ahead * np.outer(low[:n], yaw)
         self._own_damping[j] += 2 * t.creep_n * half**2 / t.speed_m_per_s * yaw
         self._own_stiffness[j] += ahead * t.conicity * half / t.wheel_radius_m * aside
         if self.is_elastic:

@@ -89,7 +89,8 @@ def test_floors_are_small_oscillators_under_the_sensors():
 
 def test_axle_box_moves_as_a_wheelset_on_contact_and_ballast():
     free = {"k_p": 1e-9, "c_p": 1e-9, "guidance_n_per_m": 0.0, "guidance_ns_per_m": 0.0}
-    train = RichTrain(frozenset({"ballast", "roll"}), primary_lateral_n_per_m=1.0, **free)
+    free |= {"primary_lateral_n_per_m": 1.0, "creep_n": 1e-3, "gravity_n_per_m": 0.0}
+    train = RichTrain(frozenset({"ballast", "roll"}), **free)
     contact = 2 * (train.contact_n_per_m + train.contact_ns_per_m * S)
     track = train.ballast_n_per_m + train.ballast_ns_per_m * S + train.track_kg * S**2
     receptance = 1 / contact + 1 / track
@@ -101,6 +102,18 @@ def test_axle_box_moves_as_a_wheelset_on_contact_and_ballast():
     inertia = train.wheelset_kg * (train.wheelset_gyration_m / train.contact_half_m) ** 2
     expected = train.sensor_half_m / train.contact_half_m / (1 + inertia * S**2 * receptance)
     np.testing.assert_allclose(found[:, 0, 1], expected, rtol=1e-6)
+
+
+def test_wheels_that_nothing_holds_do_not_slip_on_a_track_that_turns():
+    """Creep acts at the rails, a wheel's radius below the axle, which moves aside by that."""
+    free = {"guidance_n_per_m": 1e-3, "guidance_ns_per_m": 0.0, "primary_lateral_n_per_m": 1e-3}
+    train = RichTrain(frozenset({"roll", "cross_axis"}), conicity=0.0, creep_n=1e13, **free)
+    found = [
+        responses_of(replace(train, cross_axis_0=share), HEALTHY, BINS)[:, 0, 1]
+        for share in (0.0, 1.0)
+    ]
+    expected = -train.wheel_radius_m / train.contact_half_m
+    np.testing.assert_allclose(found[1] - found[0], expected, rtol=1e-4)
 
 
 @pytest.mark.parametrize("effect", ["torsion", "frame_torsion"])
