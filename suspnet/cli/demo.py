@@ -12,7 +12,7 @@ from suspnet.ground import progress
 from suspnet.ground.extras import check_extra
 
 FOLDER = Path("demo")
-"""Folder of trips, model and report; each program leaves there what it has not written itself."""
+"""Folder of trips, model and report."""
 TRIPS, MODEL, REPORT = (FOLDER / name for name in ("trips", "model", "report"))
 STEPS = {
     "simulate 8 trips while a damper fades": (

@@ -16,7 +16,6 @@ from tabulate import tabulate
 from torch.utils.tensorboard import SummaryWriter
 
 from suspnet.ground.core_yaml import read_yaml
-from suspnet.ground.ledger import HYDRA
 from suspnet.ground.storage import read_json, write_atomically, write_json
 from suspnet.runs import plots
 from suspnet.runs.tables import (
@@ -129,7 +128,7 @@ def with_swept(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[dict[str
     `job` is the column with the job's name.
     """
     settings: dict[str, dict[str, str]] = {}
-    for path in sorted(folder.glob(f"*/{HYDRA}/overrides.yaml")):
+    for path in sorted(folder.glob("*/.hydra/overrides.yaml")):
         pairs = (str(override).lstrip("+").partition("=") for override in read_yaml(path))
         settings[path.parents[1].name] = {key: value for key, _, value in pairs}
     keys = dict.fromkeys(key for values in settings.values() for key in values)

@@ -16,7 +16,7 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, SQLAlch
 
 from suspnet.ground.extras import install_command
 from suspnet.ground.findings import at
-from suspnet.ground.ledger import ACTING, check_own
+from suspnet.ground.own_files import ACTING, check_own
 from suspnet.trains.history.schema import SCHEMA, metadata, versions
 
 log = logging.getLogger(__name__)

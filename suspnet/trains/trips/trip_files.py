@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
 
-from suspnet.ground.ledger import shortened
+from suspnet.ground.own_files import shortened
 from suspnet.ground.parameters import SIDES
 from suspnet.ground.storage import distinct, read_plain
 from suspnet.ground.wording import natural
