@@ -100,7 +100,7 @@ def _read_view() -> FleetView:
 
 def _state(name: str) -> State:
     _read_view()
-    state = current_refresher().board.whole(name)
+    state = current_refresher().board.view.state(name)
     if state is None:
         abort(404, "There is no such suspension in this history.")
     return state

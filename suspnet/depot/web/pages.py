@@ -257,7 +257,7 @@ def _view() -> FleetView:
 
 def _state(name: str) -> State:
     """Return a suspension by its name in the URL; abort with 404 if there is none."""
-    state = current_refresher().board.whole(name)
+    state = current_refresher().board.view.state(name)
     if state is None:
         abort(404, gettext("There is no such suspension in this history."))
     return state

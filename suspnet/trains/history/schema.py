@@ -148,14 +148,6 @@ told = Table(
 )
 """The last alarm of each parameter and cause that is in a message to a recipient, up to `at_km`."""
 
-overviews = Table(
-    "overviews",
-    metadata,
-    _suspension(primary_key=True),
-    *_needed(fingerprint=String, content=String),
-)
-"""What the page of the fleet shows of a suspension: a cache, from which no trip is restored."""
-
 
 @dataclass(frozen=True)
 class BadRow:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.special import stdtr
 
 from suspnet.ground.findings import Finding, kind_is, percent, together
 from suspnet.ground.parameters import BODY_MASS, Cause, Limits, Severity
@@ -101,8 +102,6 @@ def step_words(mileage_km: FloatArray, values: FloatArray, spread_percent: float
     at, within = int(splits[between.argmax()]), max(centred @ centred - between.max(), 1e-300)
     t = math.sqrt(between.max() / within * (n - 2))
     percent = 100 * (float(np.median(values[at:]) / np.median(values[:at])) - 1)
-    from scipy.special import stdtr  # 0.1 s, which the page of a stored fleet does not need
-
     is_large = abs(percent) > max(MULTIPLE * spread_percent, LEAST_PERCENT)
     if not is_large or 2 * stdtr(n - 2, -t) * len(splits) >= LEVEL:
         return ""
