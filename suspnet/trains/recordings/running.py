@@ -89,12 +89,6 @@ class Running:
         """Whether no acceleration has been received."""
         return not any(self._orders[name].n_frames for name in self._sensors)
 
-    @property
-    def n_seconds(self) -> float:
-        """Least duration received from an accelerometer, with gaps, [s]; 0 if one sent nothing."""
-        orders = [self._orders.get(name) for name in self.manifest.sensors()]
-        return min(0.0 if order is None else order.n_samples / order.rate_hz for order in orders)
-
     def add(self, frame: Frame) -> None:
         """Add a frame.
 
