@@ -114,9 +114,7 @@ def history_parser() -> ArgumentParser:
     parser = _parser("suspnet history", HISTORY_DESCRIPTION, HISTORY_EPILOG)
     parser.add_argument("store", metavar="STORE", help="the store [path or URL]")
     does = parser.add_subparsers(
-        dest="does",
-        required=True,
-        metavar="list | event | alarms | acknowledge | export | notify",
+        dest="does", required=True, metavar="list | event | alarms | acknowledge | export | notify"
     )
     does.add_parser("list", help="each suspension with its trips and maintenance")
     # what people tell the store: maintenance that was done, and alarms that they have seen

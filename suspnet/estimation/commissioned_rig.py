@@ -158,10 +158,7 @@ class Value:
 
     def severity(self, limits: Limits) -> Severity:
         """Return how urgent a ratio is: beyond a limit only if its interval is wholly beyond it."""
-        for severity, (low, high) in (
-            (Severity.ACT, limits.act),
-            (Severity.NOTICE, limits.notice),
-        ):
+        for severity, (low, high) in ((Severity.ACT, limits.act), (Severity.NOTICE, limits.notice)):
             if self.high < low or self.low > high:
                 return severity
         low, high = limits.act

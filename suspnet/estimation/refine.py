@@ -171,12 +171,7 @@ class _Search:
     """
 
     def __init__(
-        self,
-        task: Task,
-        misfit: Misfit,
-        full: Tensor,
-        directions: Directions | None,
-        max_iter: int,
+        self, task: Task, misfit: Misfit, full: Tensor, directions: Directions | None, max_iter: int
     ) -> None:
         self._task, self._misfit, self._full, self._max_iter = task, misfit, full, max_iter
         self._directions, self.n_directions = directions, 0 if directions is None else directions.n

@@ -48,10 +48,7 @@ class EquispacedDesign(EquispacedTransform, Design):
     """
 
     def __init__(
-        self,
-        modes: EquispacedFeatures,
-        X: Tensor,
-        solver: ConjugateGradients | None = None,
+        self, modes: EquispacedFeatures, X: Tensor, solver: ConjugateGradients | None = None
     ) -> None:
         super().__init__(modes, X)
         self._solver = solver or ConjugateGradients()

@@ -23,12 +23,7 @@ from suspnet.curves.protocols import BODY_MASS_COLUMN
 from suspnet.estimation.estimate import Flags
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.flags import OODDetector
-from suspnet.estimation.from_curves import (
-    identified,
-    refine_curves,
-    regress,
-    residual_scales,
-)
+from suspnet.estimation.from_curves import identified, refine_curves, regress, residual_scales
 from suspnet.estimation.intervals import Conformal, Intervals, residuals
 from suspnet.estimation.refine import Refined
 from suspnet.ground.progress import bar as progress_bar

@@ -350,8 +350,7 @@ class AcknowledgementForm(FlaskForm):  # type: ignore[misc]
     """Form of an acknowledgement: name, text, and the alarm as the page showed it."""
 
     by = StringField(
-        N_("Your name"),
-        [DataRequired(N_("Enter your name.")), Length(max=MAX_NAME), _check_plain],
+        N_("Your name"), [DataRequired(N_("Enter your name.")), Length(max=MAX_NAME), _check_plain]
     )
     words = StringField(N_("Action taken"), [Length(max=500), _check_plain])
     parameter, cause, severity = HiddenField(), HiddenField(), HiddenField()

@@ -153,11 +153,7 @@ def _subtract_common(sensors: Sequence[Numbers], number: str) -> None:
 
 
 def _trend(
-    name: str,
-    values: Numbers,
-    changes: Numbers,
-    eras: IntArray,
-    groups: Sequence[Sequence[str]],
+    name: str, values: Numbers, changes: Numbers, eras: IntArray, groups: Sequence[Sequence[str]]
 ) -> SensorTrend:
     beyond, far = {}, np.zeros(len(eras), dtype=np.bool_)
     with np.errstate(invalid="ignore"):  # NaN is never beyond

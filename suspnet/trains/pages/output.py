@@ -311,7 +311,4 @@ def _life_row(life: Life | None) -> dict[str, Any] | None:
 def _alarm_row(alarm: Alarm, seen: Sequence[Acknowledgement]) -> dict[str, Any]:
     """Return an alarm for JSON, with the name of the person who acknowledged it last."""
     by = newest_of(alarm, seen)
-    return asdict(alarm) | {
-        "severity": str(alarm.severity),
-        "seen_by": by.by if by else "",
-    }
+    return asdict(alarm) | {"severity": str(alarm.severity), "seen_by": by.by if by else ""}

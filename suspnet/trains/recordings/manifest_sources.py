@@ -330,10 +330,7 @@ class FileSource:
         default="unknown",
     )
     csv: CsvDialect | None = optional(
-        mapping_of(CsvDialect),
-        "mapping",
-        "how a CSV file is written, below",
-        default="detected",
+        mapping_of(CsvDialect), "mapping", "how a CSV file is written, below", default="detected"
     )
 
     @property

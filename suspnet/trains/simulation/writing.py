@@ -28,13 +28,7 @@ from suspnet.ground.workers import LostWorkerError, each, workers_for
 from suspnet.trains.recordings.manifest import CHANNELS, TripManifest
 from suspnet.trains.recordings.manifest_files import write_manifest
 from suspnet.trains.recordings.manifest_sources import Pair, SensorSource, SpeedSource
-from suspnet.trains.simulation.fleet import (
-    FIRST_DAY,
-    Fleet,
-    Scenario,
-    SimulatedSuspension,
-    Trains,
-)
+from suspnet.trains.simulation.fleet import FIRST_DAY, Fleet, Scenario, SimulatedSuspension, Trains
 from suspnet.trains.simulation.folders import TRUTH, is_finished, is_whole, own_folder, unfinished
 from suspnet.trains.simulation.signals import Journey, profile_length_m, simulate_trip
 from suspnet.trains.simulation.true_vehicle import scattered, true_numbers, with_separate_parts
