@@ -68,11 +68,6 @@ class Life:
         # the method "inverted_cdf" of np.quantile, without sorting each time
         return float(self._ascending_km[max(math.ceil(self.samples_km.size * q - 1), 0)])
 
-    @property
-    def finite_km(self) -> FloatArray:
-        """The finite samples, ascending."""
-        return self._ascending_km[: np.isfinite(self.samples_km).sum()]
-
     @cached_property
     def _ascending_km(self) -> FloatArray:
         return np.sort(self.samples_km)

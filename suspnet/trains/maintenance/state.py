@@ -83,14 +83,9 @@ class State:
         return self.series.outputs
 
     @cached_property
-    def all_alarms(self) -> list[Alarm]:
-        """Active and cleared alarms by the mileage where they start."""
-        return self.watched.alarms
-
-    @cached_property
     def alarms(self) -> list[Alarm]:
         """Active alarms, the most severe first."""
-        active = [alarm for alarm in self.all_alarms if alarm.is_open]
+        active = [alarm for alarm in self.watched.alarms if alarm.is_open]
         return sorted(active, key=lambda alarm: (-alarm.severity, alarm.begin_km))
 
     def alarms_of(self, name: str) -> list[Alarm]:

@@ -227,13 +227,10 @@ class Cleaner:
     """Cleans one channel block by block, and counts its faults.
 
     The result does not depend on how the channel is cut into blocks. `range_m_per_s2` is the
-    largest magnitude that the sensor can measure. `late` delays cleaning by a share, 0 to 1, of a
-    window: different shares prevent that hundreds of channels are cleaned in the same second.
+    largest magnitude that the sensor can measure.
     """
 
-    def __init__(
-        self, channel: str, rate_hz: float, range_m_per_s2: float | None = None, late: float = 0.0
-    ) -> None:
+    def __init__(self, channel: str, rate_hz: float, range_m_per_s2: float | None = None) -> None:
         self.channel, self.rate_hz, self.range_m_per_s2 = channel, rate_hz, range_m_per_s2
         self.segment = max(round(rate_hz * SEGMENT_S), SEGMENT_SAMPLES)
         self.n_samples, self.n_bad = 0, 0
@@ -243,7 +240,7 @@ class Cleaner:
         self._longest_constant = int(CONSTANT_S * rate_hz + 1e-9)
         context = math.ceil(max(self._longest_constant, 1) / self.segment) * self.segment
         core = math.ceil(max(CORE_SAMPLES, context) / self.segment) * self.segment
-        self._windows = _Windows(core, context, int(late * core))
+        self._windows = _Windows(core, context)
 
     def push(self, block: FloatArray) -> Iterator[tuple[FloatArray, BoolArray]]:
         """Yield values without NaN [m/s2] and a mask of bad ones, of windows that are complete."""
@@ -351,12 +348,11 @@ class Cleaner:
 class _Windows:
     """Cuts a stream into windows: consecutive cores with `context` samples on both sides.
 
-    It yields (window, samples before its core, samples of its core). A window is delayed until
-    `late` more samples than it needs have been received.
+    It yields (window, samples before its core, samples of its core).
     """
 
-    def __init__(self, core: int, context: int, late: int) -> None:
-        self.core, self.context, self.late = core, context, late  # core >= context
+    def __init__(self, core: int, context: int) -> None:
+        self.core, self.context = core, context  # core >= context
         self.pending: list[FloatArray] = []
         self.held = self.lead = 0
 
@@ -364,7 +360,7 @@ class _Windows:
         """Yield the windows that the next samples complete."""
         self.pending.append(block)
         self.held += len(block)
-        if self.held >= self.lead + self.core + self.context + self.late:
+        if self.held >= self.lead + self.core + self.context:
             yield from self._complete()
 
     def _complete(self) -> Iterator[tuple[FloatArray, int, int]]:

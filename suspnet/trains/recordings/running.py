@@ -7,7 +7,6 @@ for them, 27 bytes per instant of three sensors; `longest_s` bounds the recordin
 Where the manifest leaves rate or unit to the file, they are those of the sensor's first frame.
 """
 
-import zlib
 from collections import Counter
 from dataclasses import asdict, replace
 from functools import partial
@@ -136,10 +135,7 @@ class Running:
         if channel is not None:
             unit = channel.si_size
             full_scale = None if channel.range is None else unit * channel.range
-            # spread the cleaning of sensors that start together over time, reproducibly
-            where = self.manifest.where(name)
-            late = zlib.crc32(f"{self._name}, {name}".encode()) / 2**32
-            cleaner = Cleaner(name, rate_hz, full_scale, late=late)
+            where, cleaner = self.manifest.where(name), Cleaner(name, rate_hz, full_scale)
             self._sensors[name] = SensorStream(where, cleaner, unit * channel.sign, self.rate_hz)
 
     def _rate_problem(self, name: str, rate_hz: float) -> str:

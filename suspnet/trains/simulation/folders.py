@@ -8,9 +8,11 @@ from pathlib import Path
 from suspnet.ground import own_files
 from suspnet.ground.storage import locked, read_json, write_json
 from suspnet.trains.recordings.errors import TripError
-from suspnet.trains.recordings.manifest_files import UNFINISHED, read_manifest
+from suspnet.trains.recordings.manifest_files import read_manifest
 
 log = logging.getLogger(__name__)
+UNFINISHED = "unfinished.json"
+"""Name of the file that marks a folder of simulated trips as incomplete."""
 TRUTH = "truth.json"
 """Name of the file with the true numbers of a simulation, which is written last."""
 
