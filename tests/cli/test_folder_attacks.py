@@ -116,10 +116,6 @@ NAMED = [
     ],
     Attack("in_home", ("hydra.run.dir=.",), words="suspnet did not write it here", small=True),
     Attack("in_home_resume", ("resume=.",)),
-    *[
-        Attack(f"subdir_{i}", ("-m", "seed=1,2", f"hydra.sweep.subdir={place}"))
-        for i, place in enumerate(("HOME", ".."))
-    ],
     Attack("job", ("job=../../home",)),
     Attack("evaluate", ("resume=LINK",), program="evaluate"),
     Attack("out", ("out=HOME",), program="simulate", small=True),
