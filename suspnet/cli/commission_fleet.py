@@ -34,8 +34,7 @@ if TYPE_CHECKING:
     from suspnet.trains.recordings.manifest_files import ManifestFile
 
 log = logging.getLogger(__name__)
-LOG = "train.log"
-"""Name of the log in each run's folder."""
+LOG = "train.log"  # name of the log in each run's folder
 TrainOne = Callable[[DictConfig, Path, "Sequence[ManifestFile]"], None]
 """Commissions a configuration's vehicle on some manifests, trains its model and fills a folder."""
 

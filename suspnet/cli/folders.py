@@ -22,10 +22,8 @@ from suspnet.ground.core_yaml import read_yaml
 from suspnet.ground.storage import new_folder
 
 log = logging.getLogger(__name__)
-ERROR = "error.txt"
-"""File with the reason in the folder of a failed job of a multirun."""
-FLEET = "fleet.json"
-"""Last file written by a training of several suspensions."""
+ERROR = "error.txt"  # file with the reason in the folder of a failed job of a multirun
+FLEET = "fleet.json"  # last file written by a training of several suspensions
 FINISHED = ("metrics.json", FLEET)
 """Last files written by a training: of one model or several suspensions."""
 NOT_COMPARED = ("resume", "progress", "threads", "workers", "language", "dataset")
@@ -36,8 +34,7 @@ cannot be judged; the alarm severities notice and act."""
 BY_URGENCY = (FINE, SOME_WITHOUT_ESTIMATE, NOTICE, MISTAKE, ACT)
 """Exit codes, the worst last: after a mistake trips are unread, which may be worse than a
 notice."""
-EXIT_CODE = "exit_code"
-"""File with the exit code in the folder of each job of a multirun."""
+EXIT_CODE = "exit_code"  # file with the exit code in the folder of each job of a multirun
 to_resume: list[str] = []
 
 

@@ -52,8 +52,7 @@ WORDS = re.compile(r"(?!\.)[\w ,.:;+-]*")
 SHARED = re.compile(r"\$\{(device|group|seed|speed_m_per_s|track)\}")
 """Interpolations that may take the place of a value."""
 OPTION = re.compile(r"\w[\w.+-]*")
-OF_HEALTHY = "experiment=trips"
-"""Experiment of models that are commissioned on healthy trips."""
+OF_HEALTHY = "experiment=trips"  # experiment of models that are commissioned on healthy trips
 
 
 def check_settings(settings: dict[Any, Any]) -> None:

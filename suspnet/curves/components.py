@@ -32,10 +32,8 @@ from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.tensors import as_tensor, curves_as_tensor
 from suspnet.ground.types import FloatArray, IntArray
 
-ROUNDING = 1e-12
-"""Noise below this means that all rows are equal in the column: no information."""
-MISSING = 1
-"""Reason code of a curve that is not finite."""
+ROUNDING = 1e-12  # noise below this means that all rows are equal in the column: no information
+MISSING = 1  # reason code of a curve that is not finite
 FLOOR = 10.0
 """Magnitude below which asinh replaces the logarithm, as a multiple of the rms of the noise."""
 

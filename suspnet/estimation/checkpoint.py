@@ -42,8 +42,7 @@ from suspnet.learning import METHODS, Scaling
 from suspnet.vehicle import GENERATORS, SpatialVehicle, Vehicle
 
 SCHEMA_VERSION = 13
-FEATURES = "features."
-"""Name prefix of the feature set's arrays."""
+FEATURES = "features."  # name prefix of the feature set's arrays
 CALIBRATED: dict[str, tuple[str, Any]] = {
     "intervals.": ("intervals", Intervals),
     "ood.": ("ood", OODDetector),

@@ -35,8 +35,7 @@ N_COMPONENTS = 512
 LARGEST_MISFIT = 3.0
 """Misfit of a trip up to which its curve is explained and the misfit widens the interval; above it
 the trip has no estimate."""
-SCALE = "residual_scale."
-"""Name prefix of the residual scale's arrays."""
+SCALE = "residual_scale."  # name prefix of the residual scale's arrays
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,7 @@ from suspnet.ground.types import FloatArray
 
 MAY_BE_INFINITE = ("ood.thresholds",)
 """Arrays in which infinity means that there is no threshold."""
-DEPTH = 20
-"""Largest nesting depth of a description; real ones have 5 levels."""
+DEPTH = 20  # largest nesting depth of a description; real ones have 5 levels
 
 
 def check_numbers(content: Any, where: str = "model.json", depth: int = 0) -> None:

@@ -20,12 +20,10 @@ except ImportError:  # not a POSIX system
     HAS_LOCKS = False
 else:
     HAS_LOCKS = True
-MARKER = "suspnet_results.txt"
-"""Name of the file that marks a folder of results."""
+MARKER = "suspnet_results.txt"  # name of the file that marks a folder of results
 MARK = b"Results of suspnet, whose programs replace and remove files below this folder.\n"
 """Content of that file; one of that name without it marks nothing."""
-MOST_NAME_BYTES = 255
-"""Longest name of a file that file systems allow, [bytes]."""
+MOST_NAME_BYTES = 255  # longest name of a file that file systems allow, [bytes]
 
 
 def begin(folder: Path) -> bool:

@@ -61,10 +61,8 @@ class Place:
 
 MOST_NAME = 100
 """Largest number of characters of the name of a vehicle, a suspension, a train or a car."""
-Key = tuple[str, Place]
-"""Key of a suspension: vehicle and place."""
-OK, NO_ESTIMATE, ERROR = "ok", "no estimate", "error"
-"""Values of ``TripResult.status``."""
+Key = tuple[str, Place]  # key of a suspension: vehicle and place
+OK, NO_ESTIMATE, ERROR = "ok", "no estimate", "error"  # values of ``TripResult.status``
 
 
 @dataclass(frozen=True)
@@ -276,8 +274,7 @@ the text names."""
 NUMBERS = ("mileage_km", "healthy_since_km", "temperature_c", "seconds")
 TEXTS = ("trip", "start", "flags", "status", "reason", "worn", "manifest")
 """Columns of a trip's numbers and texts, named as in ``TripResult``."""
-FOUND = ("flags", "reason", "worn")
-"""Those texts that are findings."""
+FOUND = ("flags", "reason", "worn")  # those texts that are findings
 VALUES = {
     "estimates": "{}",
     "half_widths": "{}_half_width",

@@ -193,10 +193,8 @@ def _finite(content: Any) -> Any:
 MOST_TEXT_BYTES = 2**24
 """Largest size of a text file, [bytes]. Manifests and model descriptions have kilobytes; parsing
 16 MiB takes seconds and half a gigabyte."""
-MOST_BYTES = 2**34
-"""Largest size of a file of arrays that is read at once, [bytes]."""
-MOST_EXTENTS = 4096
-"""Largest number of data extents of a sparse file that are counted."""
+MOST_BYTES = 2**34  # largest size of a file of arrays that is read at once, [bytes]
+MOST_EXTENTS = 4096  # largest number of data extents of a sparse file that are counted
 FREE_BYTES, DENSITY = 2**28, 100
 """A file read at once may have 256 MiB, and beyond that 100 bytes for each stored byte."""
 _KINDS = (

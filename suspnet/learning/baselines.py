@@ -36,8 +36,7 @@ COMPRESSED, ROUGH_TOL, ROUGH_ITER = 0.05, 1e-3, 20
 `CurveFit`, and the tolerance and number of iterations of that search."""
 RULED_OUT = 10.0
 """A model whose cost after the first search exceeds the least one by this factor is ruled out."""
-PREDICT_ROWS = 1024
-"""Rows predicted at once, so that their kernel fits into memory."""
+PREDICT_ROWS = 1024  # rows predicted at once, so that their kernel fits into memory
 
 
 @dataclass(repr=False, eq=False)

@@ -32,8 +32,7 @@ DIFFERENCE, ONE_SIDED_DIFFERENCE = 1e-4, 1e-5
 """Steps of central and of one-sided differences, for parameters of the order of 1.
 
 Second differences of a shorter step would be mostly rounding."""
-NEARLY_UNDAMPED = 1e-9
-"""Damping of the step whose decrease tells whether a row has converged."""
+NEARLY_UNDAMPED = 1e-9  # damping of the step whose decrease tells whether a row has converged
 PROBE, STEEPEST_BEND = 0.1, 0.75
 """Fraction of a step at which its acceleration is measured, and the largest acceleration over half
 a step (Transtrum and Sethna): beyond it the step is rejected."""

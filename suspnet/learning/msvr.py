@@ -32,8 +32,7 @@ from suspnet.learning.kernel_design import KernelDesign
 from suspnet.learning.regressor import Regressor, arrays_of
 from suspnet.learning.toeplitz import EquispacedDesign
 
-PREDICT_ROWS = 8192
-"""Rows predicted at once, so that their features fit into memory."""
+PREDICT_ROWS = 8192  # rows predicted at once, so that their features fit into memory
 MOST_EXACT = 5000
 """Number of samples above which `exact` warns: its kernel takes 0.2 GB, a factor of it as much."""
 

@@ -20,8 +20,7 @@ from suspnet.learning.design import (
 )
 from suspnet.learning.equispaced import EquispacedFeatures, EquispacedTransform, flat_index
 
-TINY = torch.finfo(torch.float64).tiny
-"""Smallest divisor, for columns that are solved exactly."""
+TINY = torch.finfo(torch.float64).tiny  # smallest divisor, for columns that are solved exactly
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,7 @@ TOO_MANY_LOST = 0.02
 SHARES = (32, 16, 8, 4)
 """Divisors of the number of training curves in the fits that show the error by this number; all of
 them take half the time of the fit itself, or less."""
-LEAST_CURVES = 30
-"""Least number of curves in such a fit."""
+LEAST_CURVES = 30  # least number of curves in such a fit
 
 
 def method_name(estimator: Any) -> str:

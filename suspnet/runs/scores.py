@@ -24,13 +24,11 @@ from suspnet.runs.tensorboard import RunLog
 
 log = logging.getLogger(__name__)
 Metrics = dict[str, Any]
-LEVEL = 0.9
-"""Level of the prediction intervals in tables."""
+LEVEL = 0.9  # level of the prediction intervals in tables
 N_BOUND = 200
 """Largest number of curves whose bounds are computed where numbers are uncertain, as bounds are
 expensive there."""
-TOO_GOOD = 4.0
-"""An rms error this many standard deviations below its bound raises a warning."""
+TOO_GOOD = 4.0  # an rms error this many standard deviations below its bound raises a warning
 NARROW = 0.05
 """Largest bound, over the range, for which that is so: an error far below may come from knowing a
 range that is hardly wider than the bound."""

@@ -32,8 +32,7 @@ from suspnet.runs.tensorboard import RunLog
 log = logging.getLogger(__name__)
 TRIALS = "trials"
 """Folder of a multirun with a run of TensorBoard for each trial of its searches."""
-MOST_COLUMNS = 100
-"""Width of the terminal that texts are wrapped for."""
+MOST_COLUMNS = 100  # width of the terminal that texts are wrapped for
 Run = Mapping[str, Any]
 
 

@@ -53,8 +53,7 @@ VALUE_COLUMNS = [
 NUMERIC = ("suspension_id", "flagged", *NUMBERS, *VALUE_COLUMNS)
 """Columns of numbers of a block of trips; 1 is flagged."""
 NOT_NEGATIVE = {"mileage_km", *VALUE_COLUMNS[len(ESTIMATED) :]}
-SAME = 1e-9
-"""Largest relative difference of two healthy values that count as equal."""
+SAME = 1e-9  # largest relative difference of two healthy values that count as equal
 Block = dict[str, NDArray[Any]]
 """Some trips: ``TEXTS``, (n_trips,), and "numbers", (n_trips, n_numeric), as ``NUMERIC``."""
 

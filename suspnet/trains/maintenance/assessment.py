@@ -26,11 +26,9 @@ from suspnet.trains.maintenance.series import N_LAST, Series
 
 LEVEL, MULTIPLE, LEAST_PERCENT = 0.01, 2.0, 0.1
 """A step counts at this level, if it exceeds this multiple of the spread and this size [%]."""
-LEAST_SIDE = 3
-"""Fewest trips on each side of a step: one outlier is none."""
+LEAST_SIDE = 3  # fewest trips on each side of a step: one outlier is none
 ONE_FLAGGED = "the only trip is flagged"
-LARGE_PERCENT = 10.0
-"""Least difference from healthy, in %, for which the text gives the level."""
+LARGE_PERCENT = 10.0  # least difference from healthy, in %, for which the text gives the level
 REPORTED_PERCENT = 2.0
 """Least deviation of the last trip from the median of the last trips, in % of healthy, for which
 the text gives its value."""

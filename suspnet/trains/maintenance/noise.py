@@ -8,12 +8,9 @@ import numpy as np
 
 from suspnet.ground.types import FloatArray, IntArray
 
-UNIT_KM = 100_000.0
-"""Internal unit of mileage, [km], which keeps numbers near 1."""
-MAX_BLOCKS = 32
-"""Largest number of blocks into which the trips of a history are averaged."""
-LEAST_NOISE = 1e-5
-"""Smallest standard deviation of the noise of a trip, relative to the value."""
+UNIT_KM = 100_000.0  # internal unit of mileage, [km], which keeps numbers near 1
+MAX_BLOCKS = 32  # largest number of blocks into which the trips of a history are averaged
+LEAST_NOISE = 1e-5  # smallest standard deviation of the noise of a trip, relative to the value
 NOISE_SCALES = np.geomspace(0.05, 20.0, 24)
 """Grid of the factor from the noise that half-widths state to the noise from trip to trip."""
 NOISE_SPREAD = 0.5
@@ -24,10 +21,8 @@ N_HINGES = 12
 """Number of hinge onsets that are tried to remove the trend before the noise is estimated."""
 N_SLOWEST = 2
 """Number of lowest frequencies that drifts disturb, so that the noise is not estimated there."""
-MAX_BINS = 32
-"""Largest number of frequencies of the Whittle likelihood."""
-QUARTILE = NormalDist().inv_cdf(0.75)
-"""Median magnitude of a standard normal number."""
+MAX_BINS = 32  # largest number of frequencies of the Whittle likelihood
+QUARTILE = NormalDist().inv_cdf(0.75)  # median magnitude of a standard normal number
 OUTLYING = 6.0
 """Largest deviation of a trip from the median of five, in robust standard deviations."""
 

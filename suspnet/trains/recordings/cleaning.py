@@ -16,8 +16,7 @@ from suspnet.ground.types import BoolArray, FloatArray, IntArray
 
 LARGEST_M_PER_S2 = 1e30
 """Magnitude above which a value is missing: loggers write 3.4e38 or infinity for that."""
-STRIDE = 7
-"""Stride of the samples from which level and spread are estimated."""
+STRIDE = 7  # stride of the samples from which level and spread are estimated
 SIDE_SAMPLES, CALM = 8, 0.25
 """A spike is isolated if all but one of SIDE_SAMPLES samples on either side stay within the
 fraction CALM of its height; the ringing after an impact exceeds that."""
@@ -177,15 +176,13 @@ SPIKE_DEVIATIONS, SPIKE_SAMPLES = 25.0, 3
 """Least height of a spike above the level on both sides, in robust standard deviations (1.4826
 times the median absolute deviation of a segment), and its largest number of samples; anything
 longer counts as motion."""
-GAP_SAMPLES = 3
-"""Number of samples of the longest gap that is repaired."""
+GAP_SAMPLES = 3  # number of samples of the longest gap that is repaired
 SATURATION_FRACTION, SATURATION_SAMPLES = 0.999, 4
 """Fraction of the sensor's range from which a sample is saturated; if no range is given, least
 number of equal samples in a row at the highest or lowest value of a window."""
 CONSTANT_S = 0.1
 """Duration beyond which identical values are marked as those of a dead sensor, [s]."""
-OFFSET_FRACTION = 0.5
-"""Fraction of the standard deviation above which a mean is reported."""
+OFFSET_FRACTION = 0.5  # fraction of the standard deviation above which a mean is reported
 ODD_MEAN_M_PER_S2, LARGEST_MEAN_M_PER_S2 = 30.0, 5000.0
 """Means above which a sensor's unit is doubted, and refused: gravity has 9.81 m/s2, a zero point
 that was not subtracted about the sensor's range, and gravity in mg read as g 9,810 m/s2."""

@@ -36,8 +36,7 @@ LONGEST_STEP_S = 60.0
 numbers within seconds."""
 LEAST_STEPS = 8
 """Least number of steps of the first block by which jumps of the times are judged."""
-SAME_NS = 1000
-"""Largest difference [ns] between starts stated by files that count as the same."""
+SAME_NS = 1000  # largest difference [ns] between starts stated by files that count as the same
 
 
 @dataclass(frozen=True)

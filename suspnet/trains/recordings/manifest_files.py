@@ -27,8 +27,7 @@ from suspnet.trains.recordings.manifest import (
 )
 from suspnet.trains.recordings.manifest_sources import Value, keys_of
 
-NAMES = ("vehicle", "suspension", "train", "car")
-"""Keys of names, which may be numbers."""
+NAMES = ("vehicle", "suspension", "train", "car")  # keys of names, which may be numbers
 
 
 @dataclass(frozen=True)

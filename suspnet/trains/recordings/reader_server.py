@@ -155,8 +155,7 @@ except ImportError:  # not a POSIX system
 else:
     HAS_LIMITS = True
 
-MOST_DESCRIPTORS = 64
-"""Largest number of files that a reader may have open."""
+MOST_DESCRIPTORS = 64  # largest number of files that a reader may have open
 _READ_FILE, _READ_DIR = 1 << 2, 1 << 3
 _FS_RIGHTS = {1: 13, 2: 14, 3: 15, 5: 16}
 """Number of file access rights, by the version of Landlock that introduced them."""

@@ -40,10 +40,8 @@ from suspnet.trains.recordings.sensor import PASS, SensorSignal, SensorStream
 from suspnet.trains.recordings.sources import open_source, zero_of
 from suspnet.trains.recordings.speed import SpeedTrack, read_speed, speed_at
 
-MOST_AT_ONCE = 2
-"""Number of sensors that are read in parallel, which bounds the memory."""
-NO_DEAD: Mapping[str, str] = {}
-"""No sensor is dead."""
+MOST_AT_ONCE = 2  # number of sensors that are read in parallel, which bounds the memory
+NO_DEAD: Mapping[str, str] = {}  # no sensor is dead
 HIGHEST_HZ = 1e6
 """Highest rate of a sensor [Hz]; the length of the decimation filter grows with the rate."""
 
@@ -298,8 +296,7 @@ def _common(
     return first, min(stream.first + len(stream.values) for stream in streams) - 1
 
 
-WINDOWS = 600
-"""Largest number of windows of an overview, about the width of a figure in pixels."""
+WINDOWS = 600  # largest number of windows of an overview, about the width of a figure in pixels
 
 
 def overview(recording: Recording) -> Overview:

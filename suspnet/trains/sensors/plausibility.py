@@ -40,8 +40,7 @@ ISOLATED = 2.0
 """Multiple of the second natural frequency above which a lower place moves more than a higher."""
 LINKS = ("axle box and bogie frame", "bogie frame and car body")
 """Sensors between which the two coherences are."""
-COHERENT = 0.5
-"""Lowest coherence at which gains are checked."""
+COHERENT = 0.5  # lowest coherence at which gains are checked
 IN_ORDER = tuple(range(len(CHANNELS)))
 IF_SURE = (
     "if you are sure, continue: with single sensors a vehicle unlike its drawing looks so too, and "
@@ -66,8 +65,7 @@ fits better than the same number in the other unit by 1.69 and more (all shipped
 DIRECTION_MARGIN = 1.3
 """Factor by which the phases must fit one direction of travel better than the other to show it:
 worn vehicles fit the wrong one better than their drawing does by at most 1.28."""
-DIRECTION_NOISE = 0.1
-"""Noise of a phase below which its bin counts fully, [rad]."""
+DIRECTION_NOISE = 0.1  # noise of a phase below which its bin counts fully, [rad]
 
 
 def check_channels(

@@ -33,8 +33,7 @@ from suspnet.vehicle import SpatialVehicle, VerticalVehicle
 from suspnet.vehicle.vertical_vehicle import OTHER_END
 
 Item = TypeVar("Item")
-CLEARER = 1.25
-"""Factor by which the misfit must fall for two sensors to be called swapped."""
+CLEARER = 1.25  # factor by which the misfit must fall for two sensors to be called swapped
 EXPLAINS = 2.0
 """Misfit below which an exchange explains a trip. With the wrong bogie given an exchange may lower
 the misfit, too, but explains nothing."""

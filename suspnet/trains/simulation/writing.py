@@ -37,10 +37,8 @@ from suspnet.vehicle.motion import LinearSystem
 from suspnet.vehicle.quantities import ADDITIONS, IN_MOTION
 from suspnet.vehicle.track import TrackProfile, cross_level_spectrum, make_profile, track_spectrum
 
-ROW_GROUP = 1 << 20
-"""Rows per row group of the Parquet files."""
-ANTI_ALIAS = ("kaiser", 12.0)
-"""Window of the resampling filter."""
+ROW_GROUP = 1 << 20  # rows per row group of the Parquet files
+ANTI_ALIAS = ("kaiser", 12.0)  # window of the resampling filter
 HOURS_A_DAY = 5.0
 """Hours a day that a simulated train runs at its speed: at 70 m/s 1,260 km a day, or 460,000 km a
 year, which is what high-speed trains run."""
