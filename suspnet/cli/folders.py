@@ -211,8 +211,7 @@ UNNAMED = {
     *("workers", "resume", "language", "dataset"),
 }
 """Keys left out of folder names: the path shows them already, or they change no number."""
-MAX_BYTES = 100
-"""Length at which a name is cut; file systems allow 255 for the whole folder name."""
+MAX_BYTES = 100  # length at which a name is cut; file systems allow 255 for the whole folder name
 
 
 def register() -> None:

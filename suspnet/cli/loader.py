@@ -123,8 +123,7 @@ def _check_package(package: str | None, group: str) -> None:
 class _TheirFolder(FileConfigSource):
     """A folder of ``--config-dir``, of whose files Hydra gets checked content only."""
 
-    has_broker = False
-    """Whether the user has named the broker's host."""
+    has_broker = False  # whether the user has named the broker's host
 
     def load_config(self, config_path: str) -> ConfigResult:
         """Return the content of a file; ValueError if it sets more than it may."""

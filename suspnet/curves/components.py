@@ -91,8 +91,7 @@ class CurveFeatures:
     basis: CurveBasis | None = field(default=None, compare=False)
 
     kind: ClassVar[str] = "curve"
-    positive: ClassVar[bool] = False
-    """Features may have any sign: no logarithm is taken of them."""
+    positive: ClassVar[bool] = False  # features may have any sign: no logarithm is taken of them
 
     @property
     def parts(self) -> tuple[str, ...]:

@@ -41,8 +41,7 @@ LEAST_EFFECT = 0.1
 """Smallest rms effect of a direction that is retained, in standard deviations of the noise; each
 neglected one would widen a parameter's deviation by about 0.5 % at most."""
 N_VEHICLES = 24  # number of vehicles over which the effect is averaged
-FURTHEST = 2.0
-"""Largest factor, up or down, between the parameters of these vehicles and healthy."""
+FURTHEST = 2.0  # largest factor, up or down, between the parameters of these vehicles and healthy
 STEP = 1e-4  # step of the central differences, in standard deviations of the numbers
 
 
@@ -268,8 +267,7 @@ class CurveMisfit:
     observer: CurveObserver
     observed: Tensor
     used: Sequence[int] = (0, 1)
-    expected: float = 1.0
-    """Mean square of a residual if the model is true."""
+    expected: float = 1.0  # mean square of a residual if the model is true
 
     def thinned(self) -> CurveMisfit:
         """Return the misfit itself: there is no quicker one."""

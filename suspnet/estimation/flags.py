@@ -33,8 +33,7 @@ BOGIE_NOT_CONVERGED = (
 N_REFERENCE, N_NEIGHBOURS = 4096, 4
 """Number of training features that the detector stores, and of the nearest neighbours over which
 the distance is averaged."""
-FALSE_ALARMS = 1e-4
-"""False-alarm rate of the feature distance on curves like the training curves."""
+FALSE_ALARMS = 1e-4  # false-alarm rate of the feature distance on curves like the training curves
 MISFIT_DEVIATIONS = 4.5
 """Threshold of the misfit above its mean over curves like the training curves, in standard
 deviations."""

@@ -29,8 +29,7 @@ from suspnet.learning import MSVR, Scaling
 
 SMALLEST_SHARE = 1e-3
 """Floor of the absolute residuals as a fraction of their median, since their logarithm is taken."""
-PENALTY = 0.1
-"""C of the MSVR; small, as the logarithm of a residual scatters by 1.1 about its mean."""
+PENALTY = 0.1  # C of the MSVR; small, as the logarithm of a residual scatters by 1.1 about its mean
 N_COMPONENTS = 512
 LARGEST_MISFIT = 3.0
 """Misfit of a trip up to which its curve is explained and the misfit widens the interval; above it

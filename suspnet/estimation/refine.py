@@ -48,8 +48,7 @@ cause narrow, bent valleys, and no parameter is off by more than sqrt(2 * 0.01) 
 """
 UNCERTAIN_DAMPING = 1e-2
 """First damping where uncertain numbers are fitted; the search starts from their median."""
-UNEXPLAINED = 1.3
-"""Misfit above which a curve is fitted again, from the nearest scattered vehicle."""
+UNEXPLAINED = 1.3  # misfit above which a curve is fitted again, from the nearest scattered vehicle
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ from suspnet.ground.parameters import PARAMETERS
 from suspnet.ground.settings import LARGEST
 from suspnet.ground.types import FloatArray
 
-MAY_BE_INFINITE = ("ood.thresholds",)
-"""Arrays in which infinity means that there is no threshold."""
+MAY_BE_INFINITE = ("ood.thresholds",)  # arrays in which infinity means that there is no threshold
 DEPTH = 20  # largest nesting depth of a description; real ones have 5 levels
 
 

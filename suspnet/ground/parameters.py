@@ -95,12 +95,9 @@ class Severity(IntEnum):
     """Urgency of a finding; the larger, the worse."""
 
     NONE = 0
-    UNKNOWN = 1
-    """No judgement is possible: no estimate, or one that is too uncertain."""
-    NOTICE = 2
-    """Inspect the suspension at the next opportunity."""
-    ACT = 3
-    """The suspension needs work."""
+    UNKNOWN = 1  # no judgement is possible: no estimate, or one that is too uncertain
+    NOTICE = 2  # inspect the suspension at the next opportunity
+    ACT = 3  # the suspension needs work
 
     def __str__(self) -> str:
         """Return the name in lower case, as in tables."""
@@ -110,12 +107,9 @@ class Severity(IntEnum):
 class Cause(StrEnum):
     """Cause of an alarm."""
 
-    LIMIT = "limit"
-    """A parameter is beyond a limit."""
-    CHANGE = "change"
-    """A parameter has changed from its reference trips."""
-    SENSOR = "sensor"
-    """A sensor differs from its first trips; the alarm's parameter is its name."""
+    LIMIT = "limit"  # a parameter is beyond a limit
+    CHANGE = "change"  # a parameter has changed from its reference trips
+    SENSOR = "sensor"  # a sensor differs from its first trips; the alarm's parameter is its name
 
 
 @dataclass(frozen=True)

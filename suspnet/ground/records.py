@@ -24,8 +24,7 @@ from suspnet.ground.types import BoolArray, ComplexArray, FloatArray
 
 HIGHEST_KM = 2e7
 """Mileage that no rail vehicle reaches, [km]: 40 years of 500 000 km, as fast trains run."""
-INTERVAL_LEVEL = 0.9
-"""Probability of the intervals of trips, unless a setting names another one."""
+INTERVAL_LEVEL = 0.9  # probability of the intervals of trips, unless a setting names another one
 
 
 def interval_ends(values: Any, half_widths: Any) -> tuple[Any, Any]:

@@ -23,8 +23,7 @@ from suspnet.learning.regressor import Regressor, arrays_of
 
 START_RANGES = {"length_scale": (1e-2, 10.0), "noise_to_signal": (1e-6, 1e-1)}
 """Ranges of Table V, from which the random starts are drawn."""
-BOUNDS = {"length_scale": (1e-3, 1e3), "noise_to_signal": (1e-8, 1e2)}
-"""Bounds of the optimiser."""
+BOUNDS = {"length_scale": (1e-3, 1e3), "noise_to_signal": (1e-8, 1e2)}  # bounds of the optimiser
 PREDICT_ROWS = 1024  # rows predicted at once, so that their kernel fits into memory
 
 

@@ -39,8 +39,7 @@ only starts it: enough for the thresholds of flags."""
 N_UNCERTAIN_REFINED = 512
 """Calibration curves of a refined model where uncertain numbers are fitted too: with these the
 coverage of a 90 % interval has a standard deviation of 1.3 %."""
-N_TRIED = 1024
-"""Calibration curves that show whether correcting the estimates lowers their error."""
+N_TRIED = 1024  # calibration curves that show whether correcting the estimates lowers their error
 Model = TypeVar("Model", bound=FittedMethod)
 Part = TypeVar("Part")
 

@@ -30,8 +30,7 @@ from suspnet.runs.tables import (
 from suspnet.runs.tensorboard import RunLog
 
 log = logging.getLogger(__name__)
-TRIALS = "trials"
-"""Folder of a multirun with a run of TensorBoard for each trial of its searches."""
+TRIALS = "trials"  # folder of a multirun with a run of TensorBoard for each trial of its searches
 MOST_COLUMNS = 100  # width of the terminal that texts are wrapped for
 Run = Mapping[str, Any]
 

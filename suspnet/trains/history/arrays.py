@@ -44,8 +44,7 @@ from suspnet.trains.history.schema import (
 from suspnet.trains.maintenance.directions import SIGNS
 from suspnet.trains.maintenance.series import NUMBERS, Event, Series, make_series
 
-ROWS = 20_000
-"""Number of rows that are Python objects at the same time, which bounds the memory."""
+ROWS = 20_000  # number of rows that are Python objects at the same time, which bounds the memory
 TEXTS = ("trip", "start", "sensors", "worn")
 VALUE_COLUMNS = [
     VALUES[key].format(name) for key in ("estimates", "half_widths") for name in ESTIMATED

@@ -22,8 +22,7 @@ from suspnet.trains.history.schema import SCHEMA, metadata, versions
 log = logging.getLogger(__name__)
 WAIT_S = 60.0  # longest time that a writer waits for another one, [s]
 CONNECT_S = 5  # longest time to connect to a server, [s]
-APPLICATION_ID = 0x73757368
-"""Number in the header of an SQLite store, by which it is recognised."""
+APPLICATION_ID = 0x73757368  # number in the header of an SQLite store, by which it is recognised
 DAMAGED = (
     "{name}: the store is damaged ({words}); put a copy in its place, or evaluate the trips again "
     "into a new one"

@@ -19,8 +19,7 @@ from suspnet.trains.maintenance.cusum import (
     threshold,
 )
 
-N_BACK = 5
-"""Least number of trips whose median must be back near the reference for a change to end."""
+N_BACK = 5  # least number of trips whose median must be back near the reference for a change to end
 BACK = 0.25  # a change has ended when the median deviation is below this share of its size
 SURE = 8.0
 """A change ends only after enough trips that the standard error of their mean is at most the size

@@ -32,8 +32,7 @@ N_ONSETS = 40  # number of onsets on the grid of each model
 ONSET_PASSES = 3
 """Number of times that models without B refine the grid of onsets around the best one."""
 AT_ONCE = 0.5  # prior probability that wear starts before the first trip; a step is after it
-LEVEL_SPREAD = 0.1
-"""Prior standard deviation of the value at the first trip, whose prior mean is 1."""
+LEVEL_SPREAD = 0.1  # prior standard deviation of the value at the first trip, whose prior mean is 1
 DIFFUSIONS = np.geomspace(0.0015, 0.1, 13)
 """Standard deviations of Brownian motion after ``UNIT_KM``."""
 RATE_CHANGES = np.geomspace(0.0002, 0.02, 7)

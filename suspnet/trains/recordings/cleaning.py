@@ -180,8 +180,7 @@ GAP_SAMPLES = 3  # number of samples of the longest gap that is repaired
 SATURATION_FRACTION, SATURATION_SAMPLES = 0.999, 4
 """Fraction of the sensor's range from which a sample is saturated; if no range is given, least
 number of equal samples in a row at the highest or lowest value of a window."""
-CONSTANT_S = 0.1
-"""Duration beyond which identical values are marked as those of a dead sensor, [s]."""
+CONSTANT_S = 0.1  # duration beyond which identical values are marked as those of a dead sensor, [s]
 OFFSET_FRACTION = 0.5  # fraction of the standard deviation above which a mean is reported
 ODD_MEAN_M_PER_S2, LARGEST_MEAN_M_PER_S2 = 30.0, 5000.0
 """Means above which a sensor's unit is doubted, and refused: gravity has 9.81 m/s2, a zero point

@@ -150,8 +150,7 @@ FRAME_S, STEP_S = 2.0, 1.0
 """Length of the frames whose spectra are averaged, and step from one to the next, [s]."""
 N_AVERAGED = 16
 """Number of frames in an average; independent signals then have a coherence of about 0.1."""
-BAND_HZ = (1.0, 15.0)
-"""Band over which the coherence is averaged, up to a quarter of the rate [Hz]."""
+BAND_HZ = (1.0, 15.0)  # band over which the coherence is averaged, up to a quarter of the rate [Hz]
 ALONE, SHARED = 0.2, 0.3
 """Mean coherences below which two sensors share no motion, and above which they do. Intact sensors
 of simulated trips were below the first at low speeds only."""

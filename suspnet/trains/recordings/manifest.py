@@ -133,8 +133,7 @@ class TripManifest:
     times. A constant `speed` is in m/s. `channels` has one sensor or several for ``CHANNELS``.
     """
 
-    shortest_s: ClassVar[float] = 60.0
-    """Shortest length of a recording, [s]."""
+    shortest_s: ClassVar[float] = 60.0  # shortest length of a recording, [s]
     path: Path
     name: str
     vehicle: str = required(check.name, NAME, "name of the vehicle, as the model's")

@@ -27,8 +27,7 @@ SPEED_UNITS = {"m/s": 1.0, "km/h": 1 / 3.6}  # size of each unit in m/s
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # size of each unit in s
 UNITS = {"acceleration": ACCELERATION_UNITS, "speed": SPEED_UNITS, "time": TIME_UNITS}
 """Units of each kind, the SI unit first."""
-MIDDLE = "middle"
-"""Side of a single sensor midway between left and right, or of the mean of both."""
+MIDDLE = "middle"  # side of a single sensor midway between left and right, or of the mean of both
 OTHER_AXLE = "axle2"  # word in the names of sensors at the other axle of the bogie
 _IN_FILE = "from the file"
 POSITIVE = math.ulp(0.0)  # smallest number above 0

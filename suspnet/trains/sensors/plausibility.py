@@ -27,8 +27,7 @@ from suspnet.trains.recordings.manifest_sources import ACCELERATION_UNITS
 from suspnet.trains.recordings.speed import LARGEST_SPEED_M_PER_S
 from suspnet.vehicle import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle, VerticalVehicle
 
-SLOW = (0.2, 0.4)
-"""Band in which the gain is checked, in multiples of the first natural frequency."""
+SLOW = (0.2, 0.4)  # band in which the gain is checked, in multiples of the first natural frequency
 GAIN_TOLERANCE = 2.0
 """Largest plausible factor between a gain and the healthy vehicle's, for any suspension."""
 CHANCE = 2.0
