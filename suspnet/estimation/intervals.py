@@ -161,12 +161,7 @@ class Intervals:
 
     @classmethod
     def restored(cls, arrays: Mapping[str, FloatArray]) -> Self:
-        """Return the intervals from their `state`; KeyError or ValueError if it is invalid."""
-        scores, log = arrays["scores"], arrays["log"]
-        if scores.ndim != 2 or not len(scores) or not (np.isfinite(scores) & (scores >= 0)).all():
-            raise ValueError("`scores` must be a table of numbers >= 0")
-        if log.shape != (1,):
-            raise ValueError(f"`log` must be one number, got shape {log.shape}")
+        """Return the intervals from their `state`; KeyError or ValueError if one is missing."""
         learnt = {
             key.removeprefix(SCALE): value for key, value in arrays.items() if key.startswith(SCALE)
         }
@@ -174,13 +169,8 @@ class Intervals:
         if learnt:
             regression = _learner(1).restore(learnt)
             scaling = Scaling(arrays["size_mean"], arrays["size_scale"])
-            shapes = {a.shape for a in (scaling.mean, scaling.scale, regression.intercept_)}
-            if shapes != {(scores.shape[1],)}:
-                raise ValueError(
-                    f"`scores` has {scores.shape[1]} outputs, the residual scale {shapes}"
-                )
             residual_scale = ResidualScale(regression, scaling)
-        return cls(Conformal(scores), bool(log[0]), residual_scale)
+        return cls(Conformal(arrays["scores"]), bool(arrays["log"][0]), residual_scale)
 
 
 def residuals(estimates: FloatArray, truth: FloatArray, log: bool) -> FloatArray:
