@@ -187,7 +187,7 @@ def _saved(folder: Path) -> Any:
     """Return the compared part of config.yaml; None if it cannot be read."""
     try:
         return _compared(read_yaml(folder / "config.yaml"))
-    except (OSError, ValueError):
+    except (OSError, TypeError, ValueError):
         return None
 
 
@@ -197,13 +197,7 @@ def _wanted(config: DictConfig) -> Any:
 
 
 def _compared(content: Any) -> Any:
-    config = OmegaConf.create(content)
-    for key in NOT_COMPARED:
-        section, _, last = key.rpartition(".")
-        node = OmegaConf.select(config, section) if section else config
-        if isinstance(node, DictConfig):
-            node.pop(last, None)
-    return OmegaConf.to_container(config)
+    return {key: value for key, value in dict(content).items() if key not in NOT_COMPARED}
 
 
 UNNAMED = {

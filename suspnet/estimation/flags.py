@@ -108,16 +108,8 @@ class OODDetector:
                 if outside[i, j]
             ]
             if not misfit <= self.misfit_threshold:
-                reasons.append(
-                    (
-                        "misfit",
-                        Finding(
-                            "unexplained-curve",
-                            misfit=misfit,
-                            misfit_threshold=self.misfit_threshold,
-                        ),
-                    )
-                )
+                numbers = {"misfit": misfit, "misfit_threshold": self.misfit_threshold}
+                reasons.append(("misfit", Finding("unexplained-curve", **numbers)))
             rows.append(tuple(reasons))
         return Flags(tuple(rows))
 

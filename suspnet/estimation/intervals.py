@@ -50,13 +50,8 @@ class Conformal:
     def of(cls, residuals: FloatArray, scales: FloatArray) -> Self:
         """Return the scores of residuals and residual scales, each (n_calibration, n_outputs).
 
-        Raises ValueError if there is no sample, a value is not finite or a scale is not positive.
+        Raises ValueError if a value is not finite or a scale is not positive.
         """
-        if residuals.ndim != 2 or residuals.shape != scales.shape or not len(residuals):
-            raise ValueError(
-                "residuals and scales must be of one shape (n_calibration, n_outputs), got "
-                f"{residuals.shape} and {scales.shape}"
-            )
         if not (np.isfinite(residuals).all() and np.isfinite(scales).all()):
             raise ValueError("residuals and scales must be finite")
         if not (scales > 0).all():
@@ -167,9 +162,8 @@ class Intervals:
         }
         residual_scale = None
         if learnt:
-            regression = _learner(1).restore(learnt)
             scaling = Scaling(arrays["size_mean"], arrays["size_scale"])
-            residual_scale = ResidualScale(regression, scaling)
+            residual_scale = ResidualScale(_learner(1).restore(learnt), scaling)
         return cls(Conformal(arrays["scores"]), bool(arrays["log"][0]), residual_scale)
 
 

@@ -15,18 +15,9 @@ from torch import Tensor
 from suspnet.ground.settings import check_number, check_settings, setting
 from suspnet.ground.tensors import as_tensor, check_device
 from suspnet.ground.types import FloatArray
+from suspnet.learning import feature_maps
 from suspnet.learning.design import DenseDesign, Design
 from suspnet.learning.equispaced import EquispacedFeatures, equispaced_fourier
-from suspnet.learning.feature_maps import (
-    FeatureMap,
-    FourierFeatures,
-    KernelColumns,
-    LandmarkFeatures,
-    exact,
-    nystroem,
-    orthogonal_fourier,
-    random_fourier,
-)
 from suspnet.learning.irwls import IRWLS, Iteration, Status
 from suspnet.learning.kernel_design import KernelDesign
 from suspnet.learning.regressor import Regressor, arrays_of
@@ -46,18 +37,18 @@ class MapKind:
     the CPU.
     """
 
-    make: Callable[[Tensor, float, int, int, float], FeatureMap]
-    holds: Callable[..., FeatureMap]
+    make: Callable[[Tensor, float, int, int, float], feature_maps.FeatureMap]
+    holds: Callable[..., feature_maps.FeatureMap]
     design: Callable[[Any, Tensor], Design] = DenseDesign
     on_gpu: bool = True
 
 
 MAPS = {
-    "rff": MapKind(random_fourier, FourierFeatures),
-    "orf": MapKind(orthogonal_fourier, FourierFeatures),
-    "nystroem": MapKind(nystroem, LandmarkFeatures),
+    "rff": MapKind(feature_maps.random_fourier, feature_maps.FourierFeatures),
+    "orf": MapKind(feature_maps.orthogonal_fourier, feature_maps.FourierFeatures),
+    "nystroem": MapKind(feature_maps.nystroem, feature_maps.LandmarkFeatures),
     "equispaced": MapKind(equispaced_fourier, EquispacedFeatures, EquispacedDesign, on_gpu=False),
-    "exact": MapKind(exact, KernelColumns, KernelDesign),
+    "exact": MapKind(feature_maps.exact, feature_maps.KernelColumns, KernelDesign),
 }
 """Every feature map by name; a new one is added here."""
 

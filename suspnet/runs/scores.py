@@ -103,22 +103,22 @@ def _rms_ratio(task: Task, outcome: Outcome, bounds: FloatArray) -> dict[str, fl
     every = outcome.data.outputs
     error = np.sqrt(np.mean((outcome.predicted / every - 1) ** 2, axis=0))
     truth = every[: len(bounds)]
-    ratios = over_bound(error, np.sqrt(np.mean((bounds / truth) ** 2, axis=0)))
+    least = np.sqrt(np.mean((bounds / truth) ** 2, axis=0))
     scatter = 1 / math.sqrt(2 * len(truth))
     for j, name in enumerate(task.outputs):
         if not np.isfinite(bounds[:, j]).all():
             continue
         low, high = task.range(name)
-        least = float(np.sqrt(np.mean((bounds[:, j] / truth[:, j]) ** 2)))
-        if least < NARROW * (high - low) and error[j] < (1 - TOO_GOOD * scatter) * least:
+        is_narrow = least[j] < NARROW * (high - low)
+        if is_narrow and error[j] < (1 - TOO_GOOD * scatter) * least[j]:
             log.warning(
                 "%s: rms error %.3g %% lies below the bound of %.3g %% by more than chance "
                 "explains; are test curves also used in the training?",
                 name,
                 100 * error[j],
-                100 * least,
+                100 * least[j],
             )
-    return dict(zip(task.outputs, ratios.tolist(), strict=True))
+    return dict(zip(task.outputs, over_bound(error, least).tolist(), strict=True))
 
 
 def log_scores(

@@ -123,18 +123,11 @@ def check_channels(
 
 def _unchecked_gains(coherence: Tensor, low_hz: float, high_hz: float) -> str:
     """Return why units and signs are not checked; `coherence` (2,) is NaN without a bin there."""
-    least = float(coherence.min())
+    least, band = float(coherence.min()), {"low_hz": low_hz, "high_hz": high_hz}
     if math.isnan(least):
-        return Finding("gains-out-of-reach", low_hz=low_hz, high_hz=high_hz)
+        return Finding("gains-out-of-reach", **band)
     link = LINKS[int(coherence.argmin())]
-    return Finding(
-        "gains-incoherent",
-        link=link,
-        low_hz=low_hz,
-        high_hz=high_hz,
-        least=least,
-        coherent=COHERENT,
-    )
+    return Finding("gains-incoherent", link=link, **band, least=least, coherent=COHERENT)
 
 
 def shown_direction(
@@ -312,17 +305,8 @@ def _check_gains(gains: list[complex]) -> None:
         suspect = _suspect(gains, sink, source)
         if not 1 / GAIN_TOLERANCE < size < GAIN_TOLERANCE:
             slip = _slip(size)
-            raise TripError(
-                at(
-                    suspect,
-                    "gain-slip" if slip else "gain",
-                    link=link,
-                    source=source,
-                    sink=sink,
-                    size=size,
-                    slip=slip,
-                )
-            )
+            values = {"link": link, "source": source, "sink": sink, "size": size, "slip": slip}
+            raise TripError(at(suspect, "gain-slip" if slip else "gain", **values))
         if abs(math.atan2(gain.imag, gain.real)) > math.pi / 2:
             raise TripError(at(suspect, "sign-wrong", source=source, sink=sink, suspect=suspect))
 
