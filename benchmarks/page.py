@@ -14,15 +14,12 @@ import gc
 import http.client
 import io
 import resource
-import socket
-import subprocess
 import sys
 import tempfile
 import threading
 import time
 from argparse import ArgumentParser
 from collections.abc import Callable, Iterable
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -166,25 +163,6 @@ def write_new_trips(store: str, numbers: Iterable[int]) -> None:
             history.write([replace(last, trip=name, mileage_km=km, curves=curves(number))])
 
 
-def cold_start(store: str) -> Row:
-    """Return the row of suspnet-serve in a new process, from its start to the page of the fleet."""
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-        port = listening.getsockname()[1]
-    values = f"store={store}", f"port={port}", f"today={TODAY}", "seed=0"
-    before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    with subprocess.Popen([sys.executable, "-m", "suspnet", "serve", *values]) as program:
-        content = b""
-        while b'id="suspensions"' not in content:
-            with suppress(OSError):
-                content = over_http(port)("/")
-            time.sleep(0.05)
-        seconds = time.perf_counter() - begin
-        program.terminate()
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    processor = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return row("cold start, page of the fleet", "process", [seconds], processor, len(content))
-
-
 def measure(store: str, settings: BoardSettings) -> list[Row]:
     """Return all rows."""
     board = Board(store, settings)
@@ -209,8 +187,6 @@ def measure(store: str, settings: BoardSettings) -> list[Row]:
     name = next(iter(board.view.keys))
     rows += pages(ask, "client", name) + pages(http_ask, "HTTP", name)
     rows.append(measured("nothing new", "refresh", board.refresh))
-    rows.append(measured("first view of a served store", "board", Board(store, settings).refresh))
-    rows.append(cold_start(store))
     for number in (0, 5):
         write_new_trips(store, [number])
         rows.append(measured("view after one new trip", "refresh", board.refresh))

@@ -23,7 +23,6 @@ def by_c(name, *arguments):
 
 
 LIBC = ctypes.CDLL(None, use_errno=True)
-AF_INET, SOCK_STREAM, SOCK_DGRAM = 2, 1, 2
 
 
 def attempts(folder: Path):
@@ -40,14 +39,11 @@ def attempts(folder: Path):
         "exec": lambda: os.execv(touch[0], touch),
         "fork": os.fork,
         "forkpty": os.forkpty,
-        "fork by C": lambda: by_c("fork"),
         "system by C": lambda: by_c("system", " ".join(touch).encode()),
         "execve by C": lambda: by_c("execl", touch[0].encode(), b"touch", c_canary, None),
         "socket": lambda: socket.socket(),
         "connection": lambda: socket.create_connection(("127.0.0.1", 9), 1),
         "server": lambda: socket.create_server(("127.0.0.1", 0)),
-        "datagram by C": lambda: by_c("socket", AF_INET, SOCK_DGRAM, 0),
-        "stream by C": lambda: by_c("socket", AF_INET, SOCK_STREAM, 0),
         "write": lambda: canary.write_text("x"),
         "append": lambda: secret.open("a").write("x"),
         "update": lambda: secret.open("r+b").write(b"x"),
@@ -66,8 +62,6 @@ def attempts(folder: Path):
         "truncate by C": lambda: by_c("truncate", c_secret, 0),
         "write by C": lambda: by_c("open", c_secret, os.O_WRONLY),
         "kill by C": lambda: by_c("kill", os.getppid(), signal.SIGTERM),
-        "uring": lambda: by_c("syscall", 425, 8, bytes(120)),
-        "chmod by C": lambda: by_c("chmod", c_secret, 0o777),
         "utime": lambda: os.utime(secret, (0, 0)),
         "read": secret.read_text,
         "read by os": lambda: os.read(os.open(secret, os.O_RDONLY), 9).decode(),

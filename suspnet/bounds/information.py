@@ -20,8 +20,7 @@ from suspnet.ground.types import FloatArray
 from suspnet.learning.least_squares import ONE_SIDED_DIFFERENCE
 from suspnet.vehicle import PARAMETERS
 
-ROWS = 256
-"""Number of vehicles at once."""
+ROWS = 256  # number of vehicles at once
 
 
 @threads(1)  # spectra are computed in blocks as large as the cache of one core

@@ -13,7 +13,7 @@ from suspnet.cli.kinds import named_runs, read_rigs, vehicles_with
 from suspnet.cli.typed_words import listed
 from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.trip_settings import LEAST_TRIPS, N_HEALTHY
-from suspnet.ground import ledger, progress
+from suspnet.ground import own_files, progress
 from suspnet.ground.settings import check_number
 from suspnet.ground.storage import distinct, new_folder, printable
 from suspnet.ground.wording import command
@@ -159,5 +159,5 @@ def _folder(wanted: Path | None) -> Path:
     """Make and return the output folder: the one given, or a new one named by the time."""
     if wanted is None:
         wanted = new_folder(Path(f"outputs/check/{datetime.now():%Y-%m-%d_%H-%M-%S}"))
-    ledger.begin(wanted)
+    own_files.begin(wanted)
     return wanted

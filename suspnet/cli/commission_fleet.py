@@ -20,7 +20,7 @@ from suspnet.cli import folders, program
 from suspnet.cli.config_files import as_written
 from suspnet.cli.typed_words import of_each_name
 from suspnet.estimation.trip_settings import LEAST_TRIPS
-from suspnet.ground import ledger
+from suspnet.ground import own_files
 from suspnet.ground.extras import check_extra, optional
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.settings import check_settings, setting
@@ -34,8 +34,7 @@ if TYPE_CHECKING:
     from suspnet.trains.recordings.manifest_files import ManifestFile
 
 log = logging.getLogger(__name__)
-LOG = "train.log"
-"""Name of the log in each run's folder."""
+LOG = "train.log"  # name of the log in each run's folder
 TrainOne = Callable[[DictConfig, Path, "Sequence[ManifestFile]"], None]
 """Commissions a configuration's vehicle on some manifests, trains its model and fills a folder."""
 
@@ -199,7 +198,7 @@ def _trained(run: Run, train_one: TrainOne) -> tuple[list[str], str]:
 def own_log(file: Path) -> Iterator[BufferingHandler]:
     """Send this package's log to a file only, and yield the handler that collects its warnings."""
     file.parent.mkdir(parents=True, exist_ok=True)
-    file = ledger.free_name(file)  # the log of an earlier attempt stays
+    file = own_files.free_name(file)  # the log of an earlier attempt stays
     logger, warnings = logging.getLogger("suspnet"), BufferingHandler(sys.maxsize)
     warnings.setLevel(logging.WARNING)
     before = logger.level, logger.propagate

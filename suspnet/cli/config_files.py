@@ -22,10 +22,7 @@ from suspnet.ground.storage import read_plain
 _PACKAGED = Path(__file__).parents[1] / "configs"
 CONFIGS = str(_PACKAGED if _PACKAGED.is_dir() else _PACKAGED.parents[1] / "configs")
 """Absolute path of the folder that Hydra composes from: the package's, else the checkout's."""
-TABLES = {
-    "reading": ("readings.yaml", "_global_"),
-    "scenario": ("scenarios.yaml", "scenario"),
-}
+TABLES = {"reading": ("readings.yaml", "_global_"), "scenario": ("scenarios.yaml", "scenario")}
 """File and package of each group whose options are the entries of one file."""
 
 

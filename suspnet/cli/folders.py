@@ -17,15 +17,13 @@ from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
 from suspnet.cli.config_files import as_written
 from suspnet.cli.typed_words import quoted
-from suspnet.ground import ledger
+from suspnet.ground import own_files
 from suspnet.ground.core_yaml import read_yaml
-from suspnet.ground.storage import new_folder, write_atomically
+from suspnet.ground.storage import new_folder
 
 log = logging.getLogger(__name__)
-ERROR = "error.txt"
-"""File with the reason in the folder of a failed job of a multirun."""
-FLEET = "fleet.json"
-"""Last file written by a training of several suspensions."""
+ERROR = "error.txt"  # file with the reason in the folder of a failed job of a multirun
+FLEET = "fleet.json"  # last file written by a training of several suspensions
 FINISHED = ("metrics.json", FLEET)
 """Last files written by a training: of one model or several suspensions."""
 NOT_COMPARED = ("resume", "progress", "threads", "workers", "language", "dataset")
@@ -36,8 +34,7 @@ cannot be judged; the alarm severities notice and act."""
 BY_URGENCY = (FINE, SOME_WITHOUT_ESTIMATE, NOTICE, MISTAKE, ACT)
 """Exit codes, the worst last: after a mistake trips are unread, which may be worse than a
 notice."""
-EXIT_CODE = "exit_code"
-"""File with the exit code in the folder of each job of a multirun."""
+EXIT_CODE = "exit_code"  # file with the exit code in the folder of each job of a multirun
 to_resume: list[str] = []
 
 
@@ -45,7 +42,7 @@ class OwnFolder(Callback):
     """Gives each run and multirun its own folder, or the one that `resume` names.
 
     A folder named by ``hydra.run.dir``, ``hydra.sweep.dir`` or ``resume`` must be empty or hold
-    only results: see `suspnet.ground.ledger`. A multirun with a failed job runs all others, then
+    only results: see `suspnet.ground.own_files`. A multirun with a failed job runs all others, then
     exits with code 1.
     """
 
@@ -61,9 +58,7 @@ class OwnFolder(Callback):
         folder = Path(config.hydra.sweep.dir)
         to_resume[:] = [str(folder)]
         for old in folder.glob(f"*/{ERROR}"):
-            ledger.remove(old)
-        # record the file in the ledger: Hydra writes the same bytes again
-        write_atomically(folder / ledger.MULTIRUN, OmegaConf.to_yaml(config))
+            old.unlink()
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Exit with 1 if a job failed; runs last, as Hydra calls callbacks in reverse order."""
@@ -103,7 +98,7 @@ def how_to_resume() -> str:
 
 
 def _choose(config: DictConfig, kind: str) -> None:
-    """Choose the folder of a run or "sweep", pass it to the sweep's jobs, and start its ledger."""
+    """Choose the folder of a run or "sweep", pass it to the sweep's jobs, and mark it as ours."""
     to_resume.clear()
     named = OmegaConf.select(config, "resume")
     before = HydraConfig.instance().cfg
@@ -119,7 +114,7 @@ def _choose(config: DictConfig, kind: str) -> None:
             folder = Path(config.hydra[kind].dir)
         else:
             folder = new_folder(_below_outputs(Path(config.hydra[kind].dir)))
-        goes_on = ledger.begin(folder)
+        goes_on = own_files.begin(folder)
     except OSError as error:
         raise SystemExit(f"error: {error.filename}: {error.strerror}") from error
     finally:
@@ -181,7 +176,7 @@ def is_finished(config: DictConfig, folder: Path) -> bool:
 def start_again(folder: Path) -> None:
     """Remove the files of an earlier run that mark it as failed or finished."""
     for name in (ERROR, *FINISHED):
-        ledger.remove(folder / name)
+        (folder / name).unlink(missing_ok=True)
 
 
 def _is_finished(folder: Path) -> bool:
@@ -192,7 +187,7 @@ def _saved(folder: Path) -> Any:
     """Return the compared part of config.yaml; None if it cannot be read."""
     try:
         return _compared(read_yaml(folder / "config.yaml"))
-    except (OSError, ValueError):
+    except (OSError, TypeError, ValueError):
         return None
 
 
@@ -202,13 +197,7 @@ def _wanted(config: DictConfig) -> Any:
 
 
 def _compared(content: Any) -> Any:
-    config = OmegaConf.create(content)
-    for key in NOT_COMPARED:
-        section, _, last = key.rpartition(".")
-        node = OmegaConf.select(config, section) if section else config
-        if isinstance(node, DictConfig):
-            node.pop(last, None)
-    return OmegaConf.to_container(config)
+    return {key: value for key, value in dict(content).items() if key not in NOT_COMPARED}
 
 
 UNNAMED = {
@@ -216,8 +205,7 @@ UNNAMED = {
     *("workers", "resume", "language", "dataset"),
 }
 """Keys left out of folder names: the path shows them already, or they change no number."""
-MAX_BYTES = 100
-"""Length at which a name is cut; file systems allow 255 for the whole folder name."""
+MAX_BYTES = 100  # length at which a name is cut; file systems allow 255 for the whole folder name
 
 
 def register() -> None:
@@ -235,7 +223,7 @@ def swept() -> list[str]:
     if config.mode != RunMode.MULTIRUN:
         return []
     folder = as_written(config.sweep)["dir"]  # a multirun sets it before its first job
-    file = Path(folder) / ledger.MULTIRUN
+    file = Path(folder) / "multirun.yaml"
     if "${" in folder or not file.is_file():
         return []
     whole = read_yaml(file)["hydra"]
@@ -282,4 +270,4 @@ def joined_name(words: Iterable[str]) -> str:
     """Return words joined as the end of a folder name that needs no quotes in a shell."""
     bare = (re.sub(r"[\[\](){}'\"]", "", word) for word in words)
     plain = (re.sub(r"[^\w.+-]+", "-", word).strip("-_") for word in bare)
-    return ledger.shortened("".join(f"_{word}" for word in plain if word), MAX_BYTES)
+    return own_files.shortened("".join(f"_{word}" for word in plain if word), MAX_BYTES)

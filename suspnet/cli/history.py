@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 from tabulate import tabulate
 
-from suspnet.ground import ledger
+from suspnet.ground import own_files
 from suspnet.ground.parameters import Cause
 from suspnet.ground.progress import LineFormatter
 from suspnet.ground.records import PLACE, Place, TripResult, outputs_of
@@ -124,7 +124,7 @@ def _export(store: History, arguments: Namespace) -> str:
             tables[name] += [where | _plain(entry) for entry in entries]
     outputs = outputs_of(result for results in several for result in results)
     tables["trips"] = [result.row(outputs) for results in several for result in results]
-    ledger.begin(arguments.folder)
+    own_files.begin(arguments.folder)
     for name, rows in tables.items():
         if rows:
             write_table(pa.Table.from_pylist(rows), arguments.folder / name)

@@ -61,7 +61,7 @@ def _write_vehicle(name: str, paths: Sequence[Path], words: Sequence[str], force
     path = (paths[0] if paths else Path("vehicles")) / "vehicle" / f"{name}.yaml"
     if os.path.lexists(path) and not force:
         raise ValueError(f"{path} exists; --force replaces it")
-    write_atomically(path, FORM.substitute(name=name), force=force)
+    write_atomically(path, FORM.substitute(name=name))
     option = "--config-dir", path.parents[1]
     print(
         printable(
@@ -131,7 +131,7 @@ def _write(paths: Sequence[Path], settings: Sequence[str], arguments: Namespace)
         )
         return 1
     for trip in new:
-        write_atomically(trip.path, trip.text, force=arguments.force)
+        write_atomically(trip.path, trip.text)
     n_old = len(trips) - len(new)
     old = f"; {count(n_old, 'manifest')} left as they were, --force replaces them" if n_old else ""
     print(f"-> {folder}: {count(len(new), 'manifest')} of {count(len(trip_files), noun)}{old}")

@@ -5,7 +5,6 @@ learnt and watched. Places to write to, hosts, credentials and Hydra's own setti
 command line, which is the user's.
 """
 
-import copy
 import os
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -18,12 +17,11 @@ from hydra._internal.config_repository import ConfigRepository
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra._internal.core_plugins.file_config_source import FileConfigSource
 from hydra.core.config_search_path import ConfigSearchPath
-from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.plugins.config_source import ConfigResult
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf, open_dict, read_write
+from omegaconf import DictConfig, OmegaConf
 
 from suspnet.cli.config_files import CONFIGS, read_settings
 from suspnet.depot.live.broker import HOST_VARIABLE
@@ -54,8 +52,7 @@ WORDS = re.compile(r"(?!\.)[\w ,.:;+-]*")
 SHARED = re.compile(r"\$\{(device|group|seed|speed_m_per_s|track)\}")
 """Interpolations that may take the place of a value."""
 OPTION = re.compile(r"\w[\w.+-]*")
-OF_HEALTHY = "experiment=trips"
-"""Experiment of models that are commissioned on healthy trips."""
+OF_HEALTHY = "experiment=trips"  # experiment of models that are commissioned on healthy trips
 
 
 def check_settings(settings: dict[Any, Any]) -> None:
@@ -126,8 +123,7 @@ def _check_package(package: str | None, group: str) -> None:
 class _TheirFolder(FileConfigSource):
     """A folder of ``--config-dir``, of whose files Hydra gets checked content only."""
 
-    has_broker = False
-    """Whether the user has named the broker's host."""
+    has_broker = False  # whether the user has named the broker's host
 
     def load_config(self, config_path: str) -> ConfigResult:
         """Return the content of a file; ValueError if it sets more than it may."""
@@ -222,36 +218,11 @@ class CheckedLoader(ConfigLoaderImpl):
         result = self.repository.load_config(f"vehicle/{option}")
         return None if result is None else OmegaConf.select(result.config, "name")
 
-    def load_sweep_config(
-        self, master_config: DictConfig, sweep_overrides: list[str]
-    ) -> DictConfig:
-        """Compose a job of a multirun; ValueError if its folder would not be in the multirun's."""
-        config = super().load_sweep_config(master_config, sweep_overrides)
-        _check_subfolder(config)
-        return config
-
 
 def _text(override: Override) -> str:
     """Return the value of an override as text, without the quotes that are around it."""
     value = None if override.is_sweep_override() else override.value()
     return value if isinstance(value, str) else (override.input_line or "").partition("=")[2]
-
-
-def _check_subfolder(config: DictConfig) -> None:
-    """Raise ValueError unless the folder of a job lies directly in that of its multirun."""
-    probe = copy.deepcopy(config)
-    with read_write(probe.hydra), open_dict(probe.hydra):
-        probe.hydra.job.num, probe.hydra.job.id = 0, "0"  # Hydra numbers the jobs later
-    before = HydraConfig.instance().cfg
-    HydraConfig.instance().set_config(probe)
-    try:
-        name = str(probe.hydra.sweep.subdir)
-    finally:
-        HydraConfig.instance().cfg = before
-    if name in ("", ".", "..") or Path(name).name != name:
-        raise ValueError(
-            f"`hydra.sweep.subdir` must give a plain name for the folder of a job, got {name!r}"
-        )
 
 
 def of_healthy(

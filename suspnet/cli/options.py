@@ -26,7 +26,7 @@ exit code: 0 if every trip could be read, 1 if there is any problem.
 DEMO_DESCRIPTION = """\
 Simulate a train of which one damper fades, learn it on its first trips and read all of them. Print
 the verdict, and open the report in a browser if there is one. Trips, model and report are in the
-folder demo; files there that suspnet did not write are left as they are."""
+folder demo, which must be new or from an earlier call."""
 INIT_DESCRIPTION = """\
 Write the manifests of all trips of a folder, or of one trip, from data files: their columns, with
 the rates and units that the files state. Which column is which channel is guessed from names (axle
@@ -114,9 +114,7 @@ def history_parser() -> ArgumentParser:
     parser = _parser("suspnet history", HISTORY_DESCRIPTION, HISTORY_EPILOG)
     parser.add_argument("store", metavar="STORE", help="the store [path or URL]")
     does = parser.add_subparsers(
-        dest="does",
-        required=True,
-        metavar="list | event | alarms | acknowledge | export | notify",
+        dest="does", required=True, metavar="list | event | alarms | acknowledge | export | notify"
     )
     does.add_parser("list", help="each suspension with its trips and maintenance")
     # what people tell the store: maintenance that was done, and alarms that they have seen

@@ -40,8 +40,7 @@ from suspnet.ground.settings import check_number
 from suspnet.ground.storage import printable, why, write_atomically
 from suspnet.ground.workers import LostWorkerError, end_with_parent, fork_from_server, guard_joblib
 
-WITH_OPTIONS = ("check", "demo", "history", "init")
-"""Programs that read no configuration."""
+WITH_OPTIONS = ("check", "demo", "history", "init")  # programs that read no configuration
 POOLS = {
     "evaluate": ("suspnet.trains.jobs.fleet", "monitor.workers", "trips"),
     "simulate": ("suspnet.trains.simulation.writing", "workers", "out"),

@@ -33,12 +33,10 @@ if TYPE_CHECKING:
     from suspnet.depot.web.access import Access
 
 log = logging.getLogger(__name__)
-END_S = 2.0
-"""Longest wait for each part of the program at the end, [s]."""
+END_S = 2.0  # longest wait for each part of the program at the end, [s]
 TOKEN_VARIABLE = "SUSPNET_API_TOKEN"
 """Environment variable with the token of programs; with _FILE after its name, of its file."""
-ANY = "0.0.0.0"
-"""Address that means all addresses of this computer."""
+ANY = "0.0.0.0"  # address that means all addresses of this computer
 
 
 @dataclass(frozen=True)

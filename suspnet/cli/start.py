@@ -10,8 +10,7 @@ from contextlib import suppress
 
 from suspnet.cli.signals import end_at_once
 
-HOME = os.path.realpath(f"{__file__}/../../..")
-"""Folder that holds the package suspnet."""
+HOME = os.path.realpath(f"{__file__}/../../..")  # folder that holds the package suspnet
 
 
 def start(name: str) -> None:

@@ -12,8 +12,7 @@ from hydra.core.override_parser.types import Quote, QuotedString
 
 from suspnet.ground.core_yaml import parse_yaml
 
-LISTS = ("run", "engineers")
-"""Keys of one text or a list of texts, ``[A,B]``."""
+LISTS = ("run", "engineers")  # keys of one text or a list of texts, ``[A,B]``
 MAPPINGS = ("n_healthy",)
 """Keys of a number or a mapping from names of folders; the program reads the mapping as text."""
 PATHS = (
@@ -30,8 +29,7 @@ WORD = re.compile(r"(\+{0,2}([\w.]+)=)(.*)", re.ASCII | re.DOTALL)
 PLAIN = re.compile(r"(?!(?:true|false|null|nan|inf)$)[a-z/][\w/.-]*|null", re.ASCII | re.IGNORECASE)
 """Text that the grammar takes as it is, and null."""
 QUOTED = re.compile(r"'(?:\\.|[^'\\])*'|\"(?:\\.|[^\"\\])*\"", re.DOTALL)
-ENTRY = re.compile(r"\s*(.+?)\s*:\s*([^,:]*?)\s*(?:,|$)")
-"""A name and its value."""
+ENTRY = re.compile(r"\s*(.+?)\s*:\s*([^,:]*?)\s*(?:,|$)")  # a name and its value
 
 
 def as_overrides(words: Sequence[str]) -> list[str]:

@@ -32,10 +32,8 @@ from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.tensors import as_tensor, curves_as_tensor
 from suspnet.ground.types import FloatArray, IntArray
 
-ROUNDING = 1e-12
-"""Noise below this means that all rows are equal in the column: no information."""
-MISSING = 1
-"""Reason code of a curve that is not finite."""
+ROUNDING = 1e-12  # noise below this means that all rows are equal in the column: no information
+MISSING = 1  # reason code of a curve that is not finite
 FLOOR = 10.0
 """Magnitude below which asinh replaces the logarithm, as a multiple of the rms of the noise."""
 
@@ -93,8 +91,7 @@ class CurveFeatures:
     basis: CurveBasis | None = field(default=None, compare=False)
 
     kind: ClassVar[str] = "curve"
-    positive: ClassVar[bool] = False
-    """Features may have any sign: no logarithm is taken of them."""
+    positive: ClassVar[bool] = False  # features may have any sign: no logarithm is taken of them
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -191,27 +188,9 @@ class CurveFeatures:
         return {name: array.cpu().contiguous().numpy() for name, array in arrays.items()}
 
     def restored(self, arrays: Mapping[str, FloatArray]) -> CurveFeatures:
-        """Return the feature set with a stored basis; ValueError if the arrays do not fit."""
-        magnitudes = "floor" in arrays
-        expected = {f.name for f in fields(CurveBasis)} - (set() if magnitudes else {"floor"})
-        if set(arrays) != expected:
-            raise ValueError(f"the basis must hold {sorted(expected)}, got {sorted(arrays)}")
+        """Return the feature set with a stored basis; TypeError if an array is missing."""
         tensors = {name: torch.as_tensor(array) for name, array in arrays.items()}
-        n_freq, n = len(tensors["frequencies_hz"]), len(tensors["directions"])
-        n_columns = (2 if magnitudes else 4) * n_freq
-        shapes: dict[str, tuple[int, ...]] = {
-            "healthy": (2, n_freq) if magnitudes else (2, n_freq, 2),
-            "mean": (n_columns,),
-            "noise": (n_columns,),
-            "directions": (n, n_columns),
-            "explained": (n,),
-        }
-        if magnitudes:
-            shapes["floor"] = (2,)
-        for name, shape in shapes.items():
-            if tuple(tensors[name].shape) != shape:
-                raise ValueError(f"`{name}` must have shape {shape}, got {arrays[name].shape}")
-        if not magnitudes:
+        if "floor" not in tensors:  # a basis with phases
             tensors["healthy"] = torch.view_as_complex(tensors["healthy"])
         return replace(self, basis=CurveBasis(**tensors))
 

@@ -28,12 +28,9 @@ from suspnet.ground.wording import ShortRepr
 
 METHODS = ("H1", "H2", "Hv", "IV")
 Method = Literal["H1", "H2", "Hv", "IV"]
-PAIRS = ((0, 1), (0, 2), (1, 2))
-"""Channels of each column of `CrossSpectra.cross`."""
-CHAIN = ((0, 1, 2), (1, 2, 0))
-"""Input, output and instrument of G_p and G_s."""
-SMOOTHED_BINS = 5
-"""Number of neighbouring bins over which a trip's measured covariance is averaged."""
+PAIRS = ((0, 1), (0, 2), (1, 2))  # channels of each column of `CrossSpectra.cross`
+CHAIN = ((0, 1, 2), (1, 2, 0))  # input, output and instrument of G_p and G_s
+SMOOTHED_BINS = 5  # number of neighbouring bins over which a trip's measured covariance is averaged
 
 
 @dataclass(frozen=True, repr=False)

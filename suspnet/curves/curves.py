@@ -36,17 +36,13 @@ LEAST_CALIBRATION = 100
 """Smallest number of calibration curves; the coverage of a 90 % interval then scatters by 3 %."""
 MOST_BINS = 100_000
 """Largest number of frequency bins of a curve; the paper has 1,000, a band up to 25 Hz 500."""
-MOST_CURVES = 100_000_000
-"""Largest number of curves; their parameters alone then take 4 GB."""
+MOST_CURVES = 100_000_000  # largest number of curves; their parameters alone then take 4 GB
 LEAST_EFFECT = 0.1
 """Smallest rms effect of a direction that is retained, in standard deviations of the noise; each
 neglected one would widen a parameter's deviation by about 0.5 % at most."""
-N_VEHICLES = 24
-"""Number of vehicles over which the effect is averaged."""
-FURTHEST = 2.0
-"""Largest factor, up or down, between the parameters of these vehicles and healthy."""
-STEP = 1e-4
-"""Step of the central differences, in standard deviations of the numbers."""
+N_VEHICLES = 24  # number of vehicles over which the effect is averaged
+FURTHEST = 2.0  # largest factor, up or down, between the parameters of these vehicles and healthy
+STEP = 1e-4  # step of the central differences, in standard deviations of the numbers
 
 
 N_TRAIN, N_UNCERTAIN_TRAIN = 20_000, 4_000
@@ -271,8 +267,7 @@ class CurveMisfit:
     observer: CurveObserver
     observed: Tensor
     used: Sequence[int] = (0, 1)
-    expected: float = 1.0
-    """Mean square of a residual if the model is true."""
+    expected: float = 1.0  # mean square of a residual if the model is true
 
     def thinned(self) -> CurveMisfit:
         """Return the misfit itself: there is no quicker one."""

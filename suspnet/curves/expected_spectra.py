@@ -29,8 +29,7 @@ if TYPE_CHECKING:  # it makes the misfits
     from suspnet.curves.estimate_observer import EstimateObserver
 
 OfFrequencies = Callable[[FloatArray], FloatArray]
-SPEED = len(PARAMETERS)
-"""Column of the relative speed in ratios that include it."""
+SPEED = len(PARAMETERS)  # column of the relative speed in ratios that include it
 WIDE_BAND_LOW_HZ, WIDE_BAND_POINTS = 0.1, 4000
 """Lowest frequency [Hz] and number of points of the integral that gives a channel's rms."""
 IN_CACHE, AT_ONCE = 80_000, 4096

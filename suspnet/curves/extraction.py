@@ -162,8 +162,7 @@ class PeakFeatures(FeatureSet):
             raise ValueError(f"need low_hz < high_hz, got {self.low_hz} and {self.high_hz}")
 
     kind: ClassVar[str] = "peaks"
-    positive: ClassVar[bool] = True
-    """Features are positive, so their logarithms may be taken."""
+    positive: ClassVar[bool] = True  # features are positive, so their logarithms may be taken
 
     @property
     def parts(self) -> tuple[str, ...]:

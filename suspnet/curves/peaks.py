@@ -210,11 +210,7 @@ class SmoothedCurves:
 
 
 def _largest(
-    smoothed: Tensor,
-    frequencies_hz: Tensor,
-    low_hz: ArrayLike,
-    high_hz: ArrayLike,
-    tilt: float,
+    smoothed: Tensor, frequencies_hz: Tensor, low_hz: ArrayLike, high_hz: ArrayLike, tilt: float
 ) -> tuple[Tensor, Tensor]:
     """Return where the tilted curve is largest in its band, and whether that is a maximum."""
     low, high = (as_tensor(v).to(smoothed).reshape(-1, 1) for v in (low_hz, high_hz))

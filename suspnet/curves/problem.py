@@ -25,8 +25,7 @@ from suspnet.ground.tensors import as_tensor, threads
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.vehicle import PARAMETERS, ResponseGenerator, Vehicle
 
-LEARN_FROM = 4096
-"""Number of training curves to which a feature set is fitted."""
+LEARN_FROM = 4096  # number of training curves to which a feature set is fitted
 BLOCK = 128
 """Number of curves generated at once: they fit into the CPU cache and share one noise seed."""
 BATCH = 2 * BLOCK
@@ -34,8 +33,7 @@ BATCH = 2 * BLOCK
 often."""
 TRAIN, TEST, CALIBRATE = 0, TEST_STREAM, 2
 """Streams of independent curves: for training, for scores, for the calibration of intervals."""
-STREAM_NAMES = ("training", "test", "calibration")
-"""Names of the streams."""
+STREAM_NAMES = ("training", "test", "calibration")  # names of the streams
 
 
 @dataclass(frozen=True)

@@ -33,8 +33,7 @@ SHARED = (
     *("mass_known", "log_ratios", "standardised"),
 )
 """Settings of a protocol that its tasks share."""
-TEST_STREAM = 1
-"""Number of the stream of test curves."""
+TEST_STREAM = 1  # number of the stream of test curves
 
 
 def columns_of(parameters: Sequence[str]) -> list[int]:

@@ -17,8 +17,7 @@ from suspnet.ground.types import FloatArray
 
 NEGLIGIBLE = 1e-4
 """Leakage and correlation between bins below this, relative to the bin itself, are neglected."""
-SEGMENTS = 64
-"""Number of segments transformed at once, which limits the memory."""
+SEGMENTS = 64  # number of segments transformed at once, which limits the memory
 
 
 @dataclass(frozen=True)

@@ -25,25 +25,14 @@ from suspnet.estimation.intervals import Intervals
 from suspnet.estimation.suspension_law import SuspensionLaw
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.validity import check_arrays, check_model, check_numbers, check_same
-from suspnet.ground.storage import (
-    DamagedFileError,
-    content_hash,
-    dump_arrays,
-    load_arrays,
-    locked,
-    read_arrays,
-    read_json,
-    write_atomically,
-    write_json,
-)
+from suspnet.ground import storage
 from suspnet.ground.tensors import check_device
 from suspnet.ground.types import FloatArray
 from suspnet.learning import METHODS, Scaling
 from suspnet.vehicle import GENERATORS, SpatialVehicle, Vehicle
 
 SCHEMA_VERSION = 14
-FEATURES = "features."
-"""Name prefix of the feature set's arrays."""
+FEATURES = "features."  # name prefix of the feature set's arrays
 CALIBRATED: dict[str, tuple[str, Any]] = {
     "intervals.": ("intervals", Intervals),
     "ood.": ("ood", OODDetector),
@@ -94,9 +83,9 @@ def save_model(folder: Path | str, model: Model) -> None:
 def write_model(folder: Path, model: Model) -> None:
     """Write a model as `save_model` does, one that is known to be restored."""
     content, description = _files(model)
-    with locked(folder):
-        write_atomically(folder / "model.safetensors", content)
-        write_json(folder / "model.json", description)
+    with storage.locked(folder):
+        storage.write_atomically(folder / "model.safetensors", content)
+        storage.write_json(folder / "model.json", description)
 
 
 def check_saveable(estimator: Any, problem: Problem) -> None:
@@ -132,7 +121,7 @@ def check_restores(model: TrainedModel) -> None:
         check_arrays({key: np.asarray(array) for key, array in method.state().items()})
         content, description = _files(model)
         del description["description_sha256"]
-        loaded = _checked(description, load_arrays(content, "its state"), "cpu")
+        loaded = _checked(description, storage.load_arrays(content, "its state"), "cpu")
         assert isinstance(loaded, TrainedModel)
         difference = np.abs(loaded.regressed(rows) - expected).max()
     except NOT_A_MODEL as error:
@@ -153,9 +142,9 @@ def fingerprint(model: Model) -> str:
 
 
 def _files(model: Model) -> tuple[bytes, dict[str, Any]]:
-    content = dump_arrays(_arrays(model) if isinstance(model, TrainedModel) else {})
+    content = storage.dump_arrays(_arrays(model) if isinstance(model, TrainedModel) else {})
     description = _described(model) | {"arrays_sha256": hashlib.sha256(content).hexdigest()}
-    description["description_sha256"] = content_hash(description)
+    description["description_sha256"] = storage.content_hash(description)
     return content, description
 
 
@@ -220,11 +209,10 @@ def load_model(folder: Path | str, device: str = "cpu") -> TrainedModel | BogieM
     check_device(device)
     try:
         with foreign_file(path):
-            content = read_json(path)
-            _refuse_regression(path, content)
+            content = storage.read_json(path)
             check_description(path, content, SCHEMA_VERSION)
             _check_known(path, content)
-            arrays = read_arrays(folder / "model.safetensors", content["arrays_sha256"])
+            arrays = storage.read_arrays(folder / "model.safetensors", content["arrays_sha256"])
             return _checked(content, {} if content["model"] == BOGIE else arrays, device)
     except FileNotFoundError as error:
         raise ModelFileError(f"{folder} holds model.json but no model.safetensors") from error
@@ -240,7 +228,7 @@ def foreign_file(path: Path) -> Iterator[None]:
         yield
     except ModelFileError:
         raise
-    except DamagedFileError as error:
+    except storage.DamagedFileError as error:
         raise ModelFileError(f"{error}; train again or copy the run again") from error
     except RecursionError as error:
         raise ModelFileError(f"{path} is not a suspnet model: it is nested too deeply") from error
@@ -256,8 +244,8 @@ def _checked(
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # only a forged model causes numerical warnings
         model = _build(content, dict(arrays), device)
-        check_model(model)
         built = _described(model)
+    check_model(model)
     # the device is that of the machine, not of the model
     for part in ("parameters", "generator"):
         if part in built:
@@ -274,17 +262,6 @@ def parameters(estimator: Any) -> dict[str, Any]:
     return {k: v for k, v in estimator.get_params().items() if k != "callback"}
 
 
-def _refuse_regression(path: Path, content: Any) -> None:
-    """Raise ModelFileError for a regression that was trained on a commissioned vehicle."""
-    training = content.get("training") if isinstance(content, dict) else None
-    is_noted = isinstance(training, dict) and "commissioned" in training
-    if is_noted and content.get("model") != BOGIE:
-        raise ModelFileError(
-            f"{path} is a regression for the vehicle that healthy trips showed, which suspnet no "
-            "longer reads: commission again"
-        )
-
-
 def check_description(path: Path, content: Any, schema_version: int) -> None:
     """Raise ModelFileError unless a description has that version and the hash, which is removed."""
     if not isinstance(content, dict) or "schema_version" not in content:
@@ -295,7 +272,7 @@ def check_description(path: Path, content: Any, schema_version: int) -> None:
             f"{schema_version}; train again"
         )
     claimed = content.pop("description_sha256", None)
-    if claimed != content_hash(content):
+    if claimed != storage.content_hash(content):
         raise ModelFileError(f"{path} is damaged or was altered: its hash does not match")
 
 

@@ -56,8 +56,7 @@ ABSOLUTE: Mapping[str, tuple[FloatArray, float]] = {
 """Direction and factor of what is read as it is: the numbers of ``Rig``."""
 SHAPES = {"logs": (5,), "covariance": (5, 5), "influences": (BANDS, 5), "errors": (-1, 3)}
 """Shapes of the arrays of a reading; -1 is any number of frequencies."""
-EXPLAINED = 1.0
-"""Rough misfit from which two masses on springs do not explain a record."""
+EXPLAINED = 1.0  # rough misfit from which two masses on springs do not explain a record
 LARGEST_LOG = 300.0
 """Largest logarithm of an end of an interval: a damper that no record shows may be anything."""
 MOST_UNCERTAIN = 0.5
@@ -158,10 +157,7 @@ class Value:
 
     def severity(self, limits: Limits) -> Severity:
         """Return how urgent a ratio is: beyond a limit only if its interval is wholly beyond it."""
-        for severity, (low, high) in (
-            (Severity.ACT, limits.act),
-            (Severity.NOTICE, limits.notice),
-        ):
+        for severity, (low, high) in ((Severity.ACT, limits.act), (Severity.NOTICE, limits.notice)):
             if self.high < low or self.low > high:
                 return severity
         low, high = limits.act

@@ -21,12 +21,9 @@ from suspnet.vehicle.quantities import LogNormal
 
 KINDS = ("missing", "cloud", "range", "misfit", "physics")
 ENDS = ("value", "low", "high")
-SHOWN = 10
-"""Number of rows in the printed form."""
-AXLE_SHARE = 0.5
-"""A primary spring or damper over that of its side, which both axles share."""
-HEALTHY = "healthy_"
-"""Name prefix of the uncertain numbers that are factors on the healthy values."""
+SHOWN = 10  # number of rows in the printed form
+AXLE_SHARE = 0.5  # a primary spring or damper over that of its side, which both axles share
+HEALTHY = "healthy_"  # name prefix of the uncertain numbers that are factors on the healthy values
 
 
 @dataclass(frozen=True, repr=False)

@@ -33,8 +33,7 @@ BOGIE_NOT_CONVERGED = (
 N_REFERENCE, N_NEIGHBOURS = 4096, 4
 """Number of training features that the detector stores, and of the nearest neighbours over which
 the distance is averaged."""
-FALSE_ALARMS = 1e-4
-"""False-alarm rate of the feature distance on curves like the training curves."""
+FALSE_ALARMS = 1e-4  # false-alarm rate of the feature distance on curves like the training curves
 MISFIT_DEVIATIONS = 4.5
 """Threshold of the misfit above its mean over curves like the training curves, in standard
 deviations."""
@@ -109,16 +108,8 @@ class OODDetector:
                 if outside[i, j]
             ]
             if not misfit <= self.misfit_threshold:
-                reasons.append(
-                    (
-                        "misfit",
-                        Finding(
-                            "unexplained-curve",
-                            misfit=misfit,
-                            misfit_threshold=self.misfit_threshold,
-                        ),
-                    )
-                )
+                numbers = {"misfit": misfit, "misfit_threshold": self.misfit_threshold}
+                reasons.append(("misfit", Finding("unexplained-curve", **numbers)))
             rows.append(tuple(reasons))
         return Flags(tuple(rows))
 
@@ -137,18 +128,9 @@ class OODDetector:
 
     @classmethod
     def restored(cls, arrays: Mapping[str, FloatArray]) -> Self:
-        """Return the detector from its `state`; KeyError or ValueError if it is invalid."""
-        reference, thresholds = arrays["reference"], arrays["thresholds"]
-        if thresholds.shape != (2,) or np.isnan(thresholds).any():
-            raise ValueError("`thresholds` must be two numbers")
-        unused = np.isinf(thresholds[0])
-        if (
-            reference.ndim != 2
-            or not (len(reference) or unused)
-            or not np.isfinite(reference).all()
-        ):
-            raise ValueError("`reference` must be a table of finite numbers")
-        return cls(reference, float(thresholds[0]), float(thresholds[1]))
+        """Return the detector from its `state`; KeyError if an array is missing."""
+        distance_threshold, misfit_threshold = map(float, arrays["thresholds"])
+        return cls(arrays["reference"], distance_threshold, misfit_threshold)
 
 
 def _outside(task: Task, name: str, refined: Refined) -> BoolArray:

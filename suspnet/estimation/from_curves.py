@@ -20,8 +20,7 @@ from suspnet.vehicle import PARAMETERS
 
 ONE_SIGMA = 0.6827
 """Level of an interval whose half width is one standard deviation of a normal error."""
-ROWS = 256
-"""Number of curves generated at once for the correction of estimates."""
+ROWS = 256  # number of curves generated at once for the correction of estimates
 
 
 def estimate_curves(

@@ -29,16 +29,11 @@ from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.learning.least_squares import BEYOND, LeastSquaresSolution, LevenbergMarquardt
 from suspnet.vehicle import PARAMETERS
 
-TOL = 1e-5
-"""Tolerance of the logarithms of the parameters, far below their deviations."""
-FIRST_DAMPING = 1e-6
-"""First damping of `LevenbergMarquardt`; a good start needs little."""
-N_LEVELS = 9
-"""Number of start values tried for a parameter without an estimate."""
-SCATTER = 1.5
-"""Factor on the parameter range within which the scattered vehicles lie."""
-ROWS = 4
-"""Number of curves whose misfits to all scattered vehicles are computed at a time."""
+TOL = 1e-5  # tolerance of the logarithms of the parameters, far below their deviations
+FIRST_DAMPING = 1e-6  # first damping of `LevenbergMarquardt`; a good start needs little
+N_LEVELS = 9  # number of start values tried for a parameter without an estimate
+SCATTER = 1.5  # factor on the parameter range within which the scattered vehicles lie
+ROWS = 4  # number of curves whose misfits to all scattered vehicles are computed at a time
 FURTHEST = 6.0
 """Bound of the coordinates of the uncertain numbers, in standard deviations of the prior."""
 TEMPERATURES = (100.0, 10.0)
@@ -46,16 +41,14 @@ TEMPERATURES = (100.0, 10.0)
 WIDE = 50.0
 """Largest effect of uncertain numbers, in deviations of the noise, for a single search: above it
 the search may end in another valley. Commissioned vehicles exceed it (docs/methods.md)."""
-ROUGH_ITER, ROUGH_TOL = 12, 1e-2
-"""Iterations and tolerance of the searches before the last one."""
+ROUGH_ITER, ROUGH_TOL = 12, 1e-2  # iterations and tolerance of the searches before the last one
 LEAST_DECREASE = 0.01
 """Decrease of half the sum of squares at which a search with uncertain numbers ends. These numbers
 cause narrow, bent valleys, and no parameter is off by more than sqrt(2 * 0.01) = 0.14 deviations.
 """
 UNCERTAIN_DAMPING = 1e-2
 """First damping where uncertain numbers are fitted; the search starts from their median."""
-UNEXPLAINED = 1.3
-"""Misfit above which a curve is fitted again, from the nearest scattered vehicle."""
+UNEXPLAINED = 1.3  # misfit above which a curve is fitted again, from the nearest scattered vehicle
 
 
 @dataclass(frozen=True)
@@ -171,12 +164,7 @@ class _Search:
     """
 
     def __init__(
-        self,
-        task: Task,
-        misfit: Misfit,
-        full: Tensor,
-        directions: Directions | None,
-        max_iter: int,
+        self, task: Task, misfit: Misfit, full: Tensor, directions: Directions | None, max_iter: int
     ) -> None:
         self._task, self._misfit, self._full, self._max_iter = task, misfit, full, max_iter
         self._directions, self.n_directions = directions, 0 if directions is None else directions.n

@@ -27,8 +27,7 @@ if TYPE_CHECKING:
 
 READS_TRIPS = "suspnet.trains.identification.from_recording"
 """Module with `estimate_trip`. It is imported for a trip only: a model of curves needs no trips."""
-SAME_BIN_HZ = 1e-6
-"""Difference [Hz] below which two frequency bins are the same."""
+SAME_BIN_HZ = 1e-6  # difference [Hz] below which two frequency bins are the same
 
 
 @dataclass(frozen=True, repr=False)

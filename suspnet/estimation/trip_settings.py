@@ -7,8 +7,7 @@ from suspnet.ground.settings import check_settings, setting
 
 LEAST_TRIPS = 3
 """Smallest number of healthy trips; fewer contain too little information on a vehicle."""
-N_HEALTHY = 5
-"""Number of first trips that are taken as healthy, as train.yaml has it."""
+N_HEALTHY = 5  # number of first trips that are taken as healthy, as train.yaml has it
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,9 @@ import yaml
 
 from suspnet.ground.storage import read_plain
 
-DEEPEST = 20
-"""Largest depth of nested lists and mappings."""
-LONGEST = 2**20
-"""Largest number of characters."""
-MOST_BYTES = 4 * LONGEST
-"""Largest number of bytes."""
+DEEPEST = 20  # largest depth of nested lists and mappings
+LONGEST = 2**20  # largest number of characters
+MOST_BYTES = 4 * LONGEST  # largest number of bytes
 MOST_VALUES = 2**18
 """Largest number of values, counting each repetition by an alias: nested lists of aliases grow
 exponentially when a message writes them out."""

@@ -12,8 +12,7 @@ from suspnet.ground.settings import check_number
 
 PARAMETERS = ("k_p", "c_p", "k_s", "c_s", "M_s")
 """The parameters that may vary, in the order of every array of parameter ratios (1 = healthy)."""
-SIDES = ("left", "right")
-"""Sides of a vehicle, as it runs forward."""
+SIDES = ("left", "right")  # sides of a vehicle, as it runs forward
 End = Literal["leading", "trailing"]
 ENDS: tuple[End, ...] = ("leading", "trailing")
 """Bogies of a vehicle, as it runs forward, and axles of a bogie."""
@@ -26,12 +25,9 @@ COMPONENTS = (
     "M_s",
 )
 """Springs and dampers of the measured bogie one by one, and the car-body mass."""
-BODY_MASS = "M_s"
-"""Name of the car-body mass, which varies with the payload from trip to trip."""
-BOGIE_PARTS = COMPONENTS[:-1]
-"""The springs and dampers alone."""
-ALL_PARTS = "all twelve parts"
-"""Text for all of ``BOGIE_PARTS``."""
+BODY_MASS = "M_s"  # name of the car-body mass, which varies with the payload from trip to trip
+BOGIE_PARTS = COMPONENTS[:-1]  # the springs and dampers alone
+ALL_PARTS = "all twelve parts"  # text for all of ``BOGIE_PARTS``
 ESTIMATED = (*PARAMETERS, *BOGIE_PARTS)
 """Everything that a trip may have an estimate of: of the parameters of both sides and axles as
 equal, or of each part."""
@@ -99,12 +95,9 @@ class Severity(IntEnum):
     """Urgency of a finding; the larger, the worse."""
 
     NONE = 0
-    UNKNOWN = 1
-    """No judgement is possible: no estimate, or one that is too uncertain."""
-    NOTICE = 2
-    """Inspect the suspension at the next opportunity."""
-    ACT = 3
-    """The suspension needs work."""
+    UNKNOWN = 1  # no judgement is possible: no estimate, or one that is too uncertain
+    NOTICE = 2  # inspect the suspension at the next opportunity
+    ACT = 3  # the suspension needs work
 
     def __str__(self) -> str:
         """Return the name in lower case, as in tables."""
@@ -114,12 +107,9 @@ class Severity(IntEnum):
 class Cause(StrEnum):
     """Cause of an alarm."""
 
-    LIMIT = "limit"
-    """A parameter is beyond a limit."""
-    CHANGE = "change"
-    """A parameter has changed from its reference trips."""
-    SENSOR = "sensor"
-    """A sensor differs from its first trips; the alarm's parameter is its name."""
+    LIMIT = "limit"  # a parameter is beyond a limit
+    CHANGE = "change"  # a parameter has changed from its reference trips
+    SENSOR = "sensor"  # a sensor differs from its first trips; the alarm's parameter is its name
 
 
 @dataclass(frozen=True)

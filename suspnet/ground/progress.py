@@ -16,8 +16,7 @@ from suspnet.ground.storage import one_line, printable
 log = logging.getLogger(__name__)
 MOVES = re.compile(r"[\r\n]*(\x1b\[A)*")
 """Cursor movements that progress bars write on their own: line starts and lines up."""
-INTERVAL_S = 30.0
-"""Time between two log lines of one step, [s]."""
+INTERVAL_S = 30.0  # time between two log lines of one step, [s]
 
 
 def bar(

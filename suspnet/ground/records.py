@@ -24,8 +24,7 @@ from suspnet.ground.types import BoolArray, ComplexArray, FloatArray
 
 HIGHEST_KM = 2e7
 """Mileage that no rail vehicle reaches, [km]: 40 years of 500 000 km, as fast trains run."""
-INTERVAL_LEVEL = 0.9
-"""Probability of the intervals of trips, unless a setting names another one."""
+INTERVAL_LEVEL = 0.9  # probability of the intervals of trips, unless a setting names another one
 
 
 def interval_ends(values: Any, half_widths: Any) -> tuple[Any, Any]:
@@ -61,10 +60,8 @@ class Place:
 
 MOST_NAME = 100
 """Largest number of characters of the name of a vehicle, a suspension, a train or a car."""
-Key = tuple[str, Place]
-"""Key of a suspension: vehicle and place."""
-OK, NO_ESTIMATE, ERROR = "ok", "no estimate", "error"
-"""Values of ``TripResult.status``."""
+Key = tuple[str, Place]  # key of a suspension: vehicle and place
+OK, NO_ESTIMATE, ERROR = "ok", "no estimate", "error"  # values of ``TripResult.status``
 
 
 @dataclass(frozen=True)
@@ -276,8 +273,7 @@ the text names."""
 NUMBERS = ("mileage_km", "healthy_since_km", "temperature_c", "seconds")
 TEXTS = ("trip", "start", "flags", "status", "reason", "worn", "manifest")
 """Columns of a trip's numbers and texts, named as in ``TripResult``."""
-FOUND = ("flags", "reason", "worn")
-"""Those texts that are findings."""
+FOUND = ("flags", "reason", "worn")  # those texts that are findings
 VALUES = {
     "estimates": "{}",
     "half_widths": "{}_half_width",

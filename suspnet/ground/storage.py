@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from suspnet.ground import ledger
 from suspnet.ground.findings import Finding
-from suspnet.ground.ledger import HAS_LOCKS, lock
+from suspnet.ground.own_files import HAS_LOCKS, MOST_NAME_BYTES, lock, shortened
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -40,18 +39,17 @@ class NotPlainError(DamagedFileError):
     """A path is not a plain file, or the file is too large."""
 
 
-def write_atomically(path: Path, content: bytes | str, force: bool = False) -> Path:
+def write_atomically(path: Path, content: bytes | str) -> Path:
     """Write a file that gets its name only when it is complete and on the disk.
 
-    A hidden file in the same folder is written and renamed. In a folder of results the file is
-    entered in the ledger first; FileExistsError is raised if a file there was not written by this
-    package, unless `force` replaces it. A failed write leaves no file behind.
+    A hidden file in the same folder is written and renamed, which replaces a link, not the file
+    that it leads to. A failed write leaves no file behind.
     """
     data = content.encode() if isinstance(content, str) else content
     path.parent.mkdir(parents=True, exist_ok=True)
     token = secrets.token_hex(4)
-    temporary = path.parent / ledger.temporary_name(path.name, token)
-    ledger.note(path, data, token, force)
+    start = shortened(path.name, MOST_NAME_BYTES - len(token) - 2)
+    temporary = path.with_name(f".{start}.{token}")
     try:
         with temporary.open("xb") as stream:
             stream.write(data)
@@ -195,10 +193,8 @@ def _finite(content: Any) -> Any:
 MOST_TEXT_BYTES = 2**24
 """Largest size of a text file, [bytes]. Manifests and model descriptions have kilobytes; parsing
 16 MiB takes seconds and half a gigabyte."""
-MOST_BYTES = 2**34
-"""Largest size of a file of arrays that is read at once, [bytes]."""
-MOST_EXTENTS = 4096
-"""Largest number of data extents of a sparse file that are counted."""
+MOST_BYTES = 2**34  # largest size of a file of arrays that is read at once, [bytes]
+MOST_EXTENTS = 4096  # largest number of data extents of a sparse file that are counted
 FREE_BYTES, DENSITY = 2**28, 100
 """A file read at once may have 256 MiB, and beyond that 100 bytes for each stored byte."""
 _KINDS = (

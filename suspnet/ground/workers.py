@@ -28,10 +28,8 @@ from tqdm import tqdm
 
 from suspnet.ground.findings import Finding
 
-WATCH_S = 1.0
-"""Time between two checks that the parent process is alive, [s]."""
-ATTEMPTS = 2
-"""Largest number of attempts at one item whose process is killed."""
+WATCH_S = 1.0  # time between two checks that the parent process is alive, [s]
+ATTEMPTS = 2  # largest number of attempts at one item whose process is killed
 THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 """Environment variables for the number of threads of a process."""
 USUAL_WORKERS, ITEMS_A_WORKER = 2, 10

@@ -22,8 +22,7 @@ from suspnet.learning.feature_maps import FeatureMap
 MAX_INPUTS = 3
 MAX_BOX = 800_000
 """Largest number of points of the grid of modes, for which all arrays fit into about 1 GB."""
-FFT_ACCURACY = 1e-2
-"""Accuracy of the non-uniform FFTs, relative to the kernel's."""
+FFT_ACCURACY = 1e-2  # accuracy of the non-uniform FFTs, relative to the kernel's
 
 
 @dataclass(frozen=True)

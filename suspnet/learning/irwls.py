@@ -30,8 +30,7 @@ from suspnet.learning.design import Coefficients, Columns, Design, Gradient, Kin
 
 SUFFICIENT_DECREASE = 1e-4
 """Fraction of the decrease predicted by the gradient that a step must reach (Armijo's rule)."""
-SMALLEST_STEP = 1e-10
-"""Smallest fraction of the direction that backtracking tries."""
+SMALLEST_STEP = 1e-10  # smallest fraction of the direction that backtracking tries
 MAX_SLOW_STEPS = 20
 """Number of slow steps in a row after which the solver leaves Newton's equations, which can cycle
 where many samples lie on the border of the tube."""

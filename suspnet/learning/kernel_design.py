@@ -32,8 +32,7 @@ LARGEST_RANK, LOW_RANK_ERROR = 0.25, 0.1
 """Rank of F^T F, as a share of the samples, and its mean error times the largest weight."""
 FORCING, MOST_GRADIENTS = 1e-8, 100
 """Relative energy of the error and number of iterations at which conjugate gradients end."""
-FEW_UNKNOWNS = 600
-"""Number of unknowns up to which Newton's equations are factored as a whole."""
+FEW_UNKNOWNS = 600  # number of unknowns up to which Newton's equations are factored as a whole
 START_SHARE, FEWEST_START, START_TOL, MOST_OUTSIDE = 4, 100, 1e-2, 0.95
 """The minimum is sought first on one in `START_SHARE` of the samples if that is at least
 `FEWEST_START`, to `START_TOL`, and kept unless more than `MOST_OUTSIDE` of them leave the tube."""

@@ -32,8 +32,7 @@ DIFFERENCE, ONE_SIDED_DIFFERENCE = 1e-4, 1e-5
 """Steps of central and of one-sided differences, for parameters of the order of 1.
 
 Second differences of a shorter step would be mostly rounding."""
-NEARLY_UNDAMPED = 1e-9
-"""Damping of the step whose decrease tells whether a row has converged."""
+NEARLY_UNDAMPED = 1e-9  # damping of the step whose decrease tells whether a row has converged
 PROBE, STEEPEST_BEND = 0.1, 0.75
 """Fraction of a step at which its acceleration is measured, and the largest acceleration over half
 a step (Transtrum and Sethna): beyond it the step is rejected."""
@@ -46,16 +45,11 @@ AT_ONCE = 128
 class RowStatus(IntEnum):
     """Why the fit of a row ended; the first two are convergence."""
 
-    SMALL_STEP = 0
-    """Every parameter moved by at most `tol` times 1 + |theta|."""
-    SMALL_DECREASE = 1
-    """The next step would have lowered the cost by at most `least_decrease`."""
-    MAX_ITER = 2
-    """The number of iterations was reached."""
-    NO_DECREASE = 3
-    """No step lowers the cost: the damping reached its largest value."""
-    NOT_FINITE = 4
-    """A residual at the parameters is not finite."""
+    SMALL_STEP = 0  # every parameter moved by at most `tol` times 1 + |theta|
+    SMALL_DECREASE = 1  # the next step would have lowered the cost by at most `least_decrease`
+    MAX_ITER = 2  # the number of iterations was reached
+    NO_DECREASE = 3  # no step lowers the cost: the damping reached its largest value
+    NOT_FINITE = 4  # a residual at the parameters is not finite
 
 
 @dataclass(frozen=True)

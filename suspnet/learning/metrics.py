@@ -15,8 +15,7 @@ SUBSETS: Mapping[str, Callable[[FloatArray], BoolArray]] = {
     "degraded": lambda ratios: ratios < 1,
 }
 """Name of each choice of test curves by the actual ratio of an output."""
-Ends = tuple[FloatArray, FloatArray]
-"""Lower and upper ends of intervals."""
+Ends = tuple[FloatArray, FloatArray]  # lower and upper ends of intervals
 
 
 def check_estimates(rule: str, estimates: ArrayLike, shape: tuple[int, int]) -> FloatArray:

@@ -15,25 +15,15 @@ from torch import Tensor
 from suspnet.ground.settings import check_number, check_settings, setting
 from suspnet.ground.tensors import as_tensor, check_device
 from suspnet.ground.types import FloatArray
+from suspnet.learning import feature_maps
 from suspnet.learning.design import DenseDesign, Design
 from suspnet.learning.equispaced import EquispacedFeatures, equispaced_fourier
-from suspnet.learning.feature_maps import (
-    FeatureMap,
-    FourierFeatures,
-    KernelColumns,
-    LandmarkFeatures,
-    exact,
-    nystroem,
-    orthogonal_fourier,
-    random_fourier,
-)
 from suspnet.learning.irwls import IRWLS, Iteration, Status
 from suspnet.learning.kernel_design import KernelDesign
 from suspnet.learning.regressor import Regressor, arrays_of
 from suspnet.learning.toeplitz import EquispacedDesign
 
-PREDICT_ROWS = 8192
-"""Rows predicted at once, so that their features fit into memory."""
+PREDICT_ROWS = 8192  # rows predicted at once, so that their features fit into memory
 MOST_EXACT = 5000
 """Number of samples above which `exact` warns: its kernel takes 0.2 GB, a factor of it as much."""
 
@@ -47,18 +37,18 @@ class MapKind:
     the CPU.
     """
 
-    make: Callable[[Tensor, float, int, int, float], FeatureMap]
-    holds: Callable[..., FeatureMap]
+    make: Callable[[Tensor, float, int, int, float], feature_maps.FeatureMap]
+    holds: Callable[..., feature_maps.FeatureMap]
     design: Callable[[Any, Tensor], Design] = DenseDesign
     on_gpu: bool = True
 
 
 MAPS = {
-    "rff": MapKind(random_fourier, FourierFeatures),
-    "orf": MapKind(orthogonal_fourier, FourierFeatures),
-    "nystroem": MapKind(nystroem, LandmarkFeatures),
+    "rff": MapKind(feature_maps.random_fourier, feature_maps.FourierFeatures),
+    "orf": MapKind(feature_maps.orthogonal_fourier, feature_maps.FourierFeatures),
+    "nystroem": MapKind(feature_maps.nystroem, feature_maps.LandmarkFeatures),
     "equispaced": MapKind(equispaced_fourier, EquispacedFeatures, EquispacedDesign, on_gpu=False),
-    "exact": MapKind(exact, KernelColumns, KernelDesign),
+    "exact": MapKind(feature_maps.exact, feature_maps.KernelColumns, KernelDesign),
 }
 """Every feature map by name; a new one is added here."""
 
@@ -212,7 +202,7 @@ class MSVR(Regressor):
         return {"coef": self.coef_, "intercept": intercept, **arrays}
 
     def restore(self, state: Mapping[str, FloatArray]) -> Self:
-        """Load the arrays of `state`; ValueError if they are missing or inconsistent."""
+        """Load the arrays of `state`; ValueError if one is missing."""
         self.check_parameters()
         names = [name.removeprefix("map.") for name in state if name.startswith("map.")]
         map_type = MAPS[self.feature_map].holds
@@ -221,10 +211,6 @@ class MSVR(Regressor):
             self.coef_, self.intercept_ = state["coef"], self._restored(state["intercept"])
             self._map = map_type(**tensors)
         self.n_features_in_ = self._map.n_inputs
-        none = torch.zeros(1, self.n_features_in_, dtype=torch.float64, device=self.device)
-        n_features = self._map(none).shape[1]
-        if self.coef_.shape != (n_features, len(self.intercept_)):
-            raise ValueError(f"coef has shape {self.coef_.shape}, the map {n_features} features")
         return self
 
     def _width(self, samples: Tensor) -> float:

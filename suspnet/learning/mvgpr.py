@@ -23,10 +23,8 @@ from suspnet.learning.regressor import Regressor, arrays_of
 
 START_RANGES = {"length_scale": (1e-2, 10.0), "noise_to_signal": (1e-6, 1e-1)}
 """Ranges of Table V, from which the random starts are drawn."""
-BOUNDS = {"length_scale": (1e-3, 1e3), "noise_to_signal": (1e-8, 1e2)}
-"""Bounds of the optimiser."""
-PREDICT_ROWS = 1024
-"""Rows predicted at once, so that their kernel fits into memory."""
+BOUNDS = {"length_scale": (1e-3, 1e3), "noise_to_signal": (1e-8, 1e2)}  # bounds of the optimiser
+PREDICT_ROWS = 1024  # rows predicted at once, so that their kernel fits into memory
 
 
 def log_marginal_likelihood(Y: Tensor, factor: Tensor) -> tuple[Tensor, Tensor]:
@@ -177,14 +175,11 @@ class MVGPR(Regressor):
         }
 
     def restore(self, state: Mapping[str, FloatArray]) -> Self:
-        """Load the arrays of `state`; ValueError if they are missing or inconsistent."""
+        """Load the arrays of `state`; ValueError if one is missing."""
         with arrays_of("an MVGPR"):
             self._samples = torch.tensor(state["samples"], device=self.device)
             self.weights_, self.mean_ = state["weights"], self._restored(state["mean"])
             self.omega_, kernel = state["omega"], state["kernel"]
-        n_outputs = len(self.mean_)
-        if self.weights_.shape != (len(self._samples), n_outputs) or kernel.shape != (3,):
-            raise ValueError(f"weights have shape {self.weights_.shape}, mean {self.mean_.shape}")
         self.length_scale_, self.signal_variance_, self.noise_variance_ = map(float, kernel)
         self.n_features_in_ = self._samples.shape[1]
         self._kept_factor: Tensor | None = None

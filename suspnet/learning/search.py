@@ -22,8 +22,7 @@ from suspnet.ground.types import FloatArray
 from suspnet.learning.metrics import check_estimates
 from suspnet.learning.scaling import Scaling
 
-FLAT = 0.005
-"""Relative rise of the RMSE up to which the edge of a grid counts as flat."""
+FLAT = 0.005  # relative rise of the RMSE up to which the edge of a grid counts as flat
 
 
 @dataclass(frozen=True)

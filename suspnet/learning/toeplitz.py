@@ -20,8 +20,7 @@ from suspnet.learning.design import (
 )
 from suspnet.learning.equispaced import EquispacedFeatures, EquispacedTransform, flat_index
 
-TINY = torch.finfo(torch.float64).tiny
-"""Smallest divisor, for columns that are solved exactly."""
+TINY = torch.finfo(torch.float64).tiny  # smallest divisor, for columns that are solved exactly
 
 
 @dataclass(frozen=True)
@@ -48,10 +47,7 @@ class EquispacedDesign(EquispacedTransform, Design):
     """
 
     def __init__(
-        self,
-        modes: EquispacedFeatures,
-        X: Tensor,
-        solver: ConjugateGradients | None = None,
+        self, modes: EquispacedFeatures, X: Tensor, solver: ConjugateGradients | None = None
     ) -> None:
         super().__init__(modes, X)
         self._solver = solver or ConjugateGradients()

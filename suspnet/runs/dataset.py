@@ -95,8 +95,7 @@ class DataSet(ShortRepr):
         }
 
 
-ARRAYS = tuple(column.name for column in fields(DataSet)[:-1])
-"""Names of the arrays of a data set."""
+ARRAYS = tuple(column.name for column in fields(DataSet)[:-1])  # names of the arrays of a data set
 
 
 def make_dataset(problem: Problem) -> DataSet:

@@ -28,8 +28,7 @@ TOO_MANY_LOST = 0.02
 SHARES = (32, 16, 8, 4)
 """Divisors of the number of training curves in the fits that show the error by this number; all of
 them take half the time of the fit itself, or less."""
-LEAST_CURVES = 30
-"""Least number of curves in such a fit."""
+LEAST_CURVES = 30  # least number of curves in such a fit
 
 
 def method_name(estimator: Any) -> str:
@@ -126,10 +125,8 @@ def refitted(problem: Problem, model: TrainedModel) -> Iterator[tuple[int, Train
     The scaling stays that of all curves, and the last model is the given one. A method that works
     on curves learns from none.
     """
-    if flag(model.estimator, "works_on_curves"):
+    if model.input_scaling is None or model.output_scaling is None:  # it works on curves
         return
-    assert model.input_scaling is not None
-    assert model.output_scaling is not None
     kept = problem.features(TRAIN).complete(problem.extractor)
     n_all = len(kept.inputs)
     for share in SHARES:

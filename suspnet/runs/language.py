@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import gettext as catalogues
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from importlib import resources
@@ -170,15 +170,3 @@ def install(environment: Environment) -> None:
     environment.install_gettext_callables(  # type: ignore[attr-defined]
         gettext, ngettext, newstyle=True
     )
-
-
-def best_of(accepted: Sequence[str]) -> str:
-    """Return the first language that is accepted and known, English if none is.
-
-    `accepted` are tags such as "de-AT", the preferred first.
-
-    >>> best_of(["fr", "de-AT", "en"]), best_of(["fr"])
-    ('de', 'en')
-    """
-    names = (tag.lower().replace("_", "-").partition("-")[0] for tag in accepted)
-    return next((name for name in names if name in LANGUAGES), ENGLISH)

@@ -23,12 +23,7 @@ from suspnet.curves.protocols import BODY_MASS_COLUMN
 from suspnet.estimation.estimate import Flags
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.flags import OODDetector
-from suspnet.estimation.from_curves import (
-    identified,
-    refine_curves,
-    regress,
-    residual_scales,
-)
+from suspnet.estimation.from_curves import identified, refine_curves, regress, residual_scales
 from suspnet.estimation.intervals import Conformal, Intervals, residuals
 from suspnet.estimation.refine import Refined
 from suspnet.ground.progress import bar as progress_bar
@@ -44,8 +39,7 @@ only starts it: enough for the thresholds of flags."""
 N_UNCERTAIN_REFINED = 512
 """Calibration curves of a refined model where uncertain numbers are fitted too: with these the
 coverage of a 90 % interval has a standard deviation of 1.3 %."""
-N_TRIED = 1024
-"""Calibration curves that show whether correcting the estimates lowers their error."""
+N_TRIED = 1024  # calibration curves that show whether correcting the estimates lowers their error
 Model = TypeVar("Model", bound=FittedMethod)
 Part = TypeVar("Part")
 

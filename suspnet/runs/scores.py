@@ -24,13 +24,11 @@ from suspnet.runs.tensorboard import RunLog
 
 log = logging.getLogger(__name__)
 Metrics = dict[str, Any]
-LEVEL = 0.9
-"""Level of the prediction intervals in tables."""
+LEVEL = 0.9  # level of the prediction intervals in tables
 N_BOUND = 200
 """Largest number of curves whose bounds are computed where numbers are uncertain, as bounds are
 expensive there."""
-TOO_GOOD = 4.0
-"""An rms error this many standard deviations below its bound raises a warning."""
+TOO_GOOD = 4.0  # an rms error this many standard deviations below its bound raises a warning
 NARROW = 0.05
 """Largest bound, over the range, for which that is so: an error far below may come from knowing a
 range that is hardly wider than the bound."""
@@ -105,22 +103,22 @@ def _rms_ratio(task: Task, outcome: Outcome, bounds: FloatArray) -> dict[str, fl
     every = outcome.data.outputs
     error = np.sqrt(np.mean((outcome.predicted / every - 1) ** 2, axis=0))
     truth = every[: len(bounds)]
-    ratios = over_bound(error, np.sqrt(np.mean((bounds / truth) ** 2, axis=0)))
+    least = np.sqrt(np.mean((bounds / truth) ** 2, axis=0))
     scatter = 1 / math.sqrt(2 * len(truth))
     for j, name in enumerate(task.outputs):
         if not np.isfinite(bounds[:, j]).all():
             continue
         low, high = task.range(name)
-        least = float(np.sqrt(np.mean((bounds[:, j] / truth[:, j]) ** 2)))
-        if least < NARROW * (high - low) and error[j] < (1 - TOO_GOOD * scatter) * least:
+        is_narrow = least[j] < NARROW * (high - low)
+        if is_narrow and error[j] < (1 - TOO_GOOD * scatter) * least[j]:
             log.warning(
                 "%s: rms error %.3g %% lies below the bound of %.3g %% by more than chance "
                 "explains; are test curves also used in the training?",
                 name,
                 100 * error[j],
-                100 * least,
+                100 * least[j],
             )
-    return dict(zip(task.outputs, ratios.tolist(), strict=True))
+    return dict(zip(task.outputs, over_bound(error, least).tolist(), strict=True))
 
 
 def log_scores(

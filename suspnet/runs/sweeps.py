@@ -16,25 +16,13 @@ from tabulate import tabulate
 from torch.utils.tensorboard import SummaryWriter
 
 from suspnet.ground.core_yaml import read_yaml
-from suspnet.ground.ledger import HYDRA
 from suspnet.ground.storage import read_json, write_atomically, write_json
-from suspnet.runs import plots
-from suspnet.runs.tables import (
-    markdown,
-    records_csv,
-    table6_caption,
-    table6_markdown,
-    table6_records,
-    table6_short,
-    write_study,
-)
+from suspnet.runs import plots, tables
 from suspnet.runs.tensorboard import RunLog
 
 log = logging.getLogger(__name__)
-TRIALS = "trials"
-"""Folder of a multirun with a run of TensorBoard for each trial of its searches."""
-MOST_COLUMNS = 100
-"""Width of the terminal that texts are wrapped for."""
+TRIALS = "trials"  # folder of a multirun with a run of TensorBoard for each trial of its searches
+MOST_COLUMNS = 100  # width of the terminal that texts are wrapped for
 Run = Mapping[str, Any]
 
 
@@ -49,11 +37,7 @@ class Summary(Callback):
         folder = Path(config.hydra.sweep.dir)
         runs = [read_json(path) for path in sorted(folder.glob("*/metrics.json"))]
         if runs:
-            self.summarise(runs, folder)
-
-    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
-        """Write the summary of runs into the folder of the multirun."""
-        self._write(runs, folder, self._note)
+            self._write(runs, folder, self._note)
 
 
 class Jobs(Callback):
@@ -65,7 +49,7 @@ class Jobs(Callback):
         rows = job_rows(folder)
         if not rows:
             return
-        write_atomically(folder / "jobs.csv", records_csv(with_swept(folder, rows)))
+        write_atomically(folder / "jobs.csv", tables.records_csv(with_swept(folder, rows)))
         table = tabulate(rows, "keys", "github", floatfmt=".4g", missingval="-")
         write_atomically(folder / "jobs.md", f"{table}\n")
         with RunLog(folder) as run_log:
@@ -129,7 +113,7 @@ def with_swept(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[dict[str
     `job` is the column with the job's name.
     """
     settings: dict[str, dict[str, str]] = {}
-    for path in sorted(folder.glob(f"*/{HYDRA}/overrides.yaml")):
+    for path in sorted(folder.glob("*/.hydra/overrides.yaml")):
         pairs = (str(override).lstrip("+").partition("=") for override in read_yaml(path))
         settings[path.parents[1].name] = {key: value for key, _, value in pairs}
     keys = dict.fromkeys(key for values in settings.values() for key in values)
@@ -157,15 +141,15 @@ def run_errors(job: Path, entry: str = "rms_percent") -> dict[str, float | None]
 
 def write_table6(runs: Sequence[Run], folder: Path, note: str = "") -> None:
     """Write and print the comparison of runs with Table VI of the paper, and a note below it."""
-    records = table6_records(runs)
+    records = tables.table6_records(runs)
     by_protocol = {
         name: [r for r in records if r["protocol"] == name]
         for name in dict.fromkeys(r["protocol"] for r in records)
     }
     parts = by_protocol.values()
     text, short = (
-        "\n".join(f"{table(part)}\n\n{table6_caption(part)}\n" for part in parts)
-        for table in (table6_markdown, table6_short)
+        "\n".join(f"{table(part)}\n\n{tables.table6_caption(part)}\n" for part in parts)
+        for table in (tables.table6_markdown, tables.table6_short)
     )
     text += f"{note}\n" if note else ""
     short += fill(note, MOST_COLUMNS)
@@ -175,7 +159,7 @@ def write_table6(runs: Sequence[Run], folder: Path, note: str = "") -> None:
         for name, part in by_protocol.items()
     }
     title = "Table VI, published and measured"
-    write_study(folder, "table6", title, text, records, records, figures, short)
+    tables.write_study(folder, "table6", title, text, records, records, figures, short)
 
 
 def _write_comparison(runs: Sequence[Run], folder: Path, note: str) -> None:
@@ -251,7 +235,7 @@ def _table5_markdown(searched: Sequence[Run], n_jobs: int) -> str:
         row = [run["group"], run["model"], best, edges, error, record["n_settings"], time]
         rows.append(row)
     header = ["group", "method", "best values", "on the edge", "cross-validated RMSE", "settings"]
-    table = markdown(rows, [*header, "search s"])
+    table = tables.markdown(rows, [*header, "search s"])
     return f"{len(searched)} of {n_jobs} searches finished\n\n{table}"
 
 

@@ -17,8 +17,7 @@ from suspnet.learning.metrics import METRICS
 from suspnet.runs.tensorboard import RunLog
 
 log = logging.getLogger(__name__)
-REFINED = "+refine"
-"""Suffix of a method's name if its estimates were refined on the curve."""
+REFINED = "+refine"  # suffix of a method's name if its estimates were refined on the curve
 MODEL_TITLES = {
     "msvr": "MSVR",
     "svr": "SVR",

@@ -38,11 +38,7 @@ OF_EVERY_METHOD = ("model", "group", "n_train", "snr_db", "seed", "protocol", "v
 """Columns that a run of any method fills."""
 SHOWN_FIRST = ("model", "group", "C", "sigma", "epsilon")
 """Hyperparameters that the table shows of a run that is no job of a multirun."""
-SECTIONS = {
-    "comparison": ("table6", "tube"),
-    "estimates": ("parity",),
-    "training": ("peaks",),
-}
+SECTIONS = {"comparison": ("table6", "tube"), "estimates": ("parity",), "training": ("peaks",)}
 """Figures by the section they are shown in; TensorBoard shows sections in alphabetical order."""
 ERROR_BY_N = "error_by_n"
 """Prefix of the rms error of each output, the step of which is a number of training curves."""

@@ -17,7 +17,7 @@ import torch
 from suspnet.curves.problem import TEST, Problem
 from suspnet.estimation.checkpoint import check_restores, check_saveable, write_model
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground import ledger
+from suspnet.ground import own_files
 from suspnet.ground.progress import stage
 from suspnet.ground.storage import write_json
 from suspnet.learning.search import GridSearch, SearchResult
@@ -94,7 +94,7 @@ def train(
     method_name(estimator)
     check_saveable(estimator, problem)
     if not context.config:  # programs look at their folder before
-        ledger.begin(folder)
+        own_files.begin(folder)
     with RunLog(folder, is_new=True) as run_log:
         run_log.config(context.config)
         search_result, search_notes = None, {}

@@ -24,7 +24,7 @@ from suspnet.cli import check, options
 from suspnet.cli.config_files import CONFIGS
 from suspnet.cli.kinds import read_vehicles
 from suspnet.curves.welch import Welch
-from suspnet.ground.ledger import LEDGER
+from suspnet.ground.own_files import MARKER
 from suspnet.ground.parameters import BOGIE_PARTS
 from suspnet.ground.records import Place
 from suspnet.trains.jobs.check import CheckSettings, check_trip
@@ -119,7 +119,7 @@ def test_good_trips_are_ready_and_drawn(fleet, manifests):
     page = (output / "check.html").read_text(encoding="utf-8")
     assert all(f'src="{path.stem}.png"' in page for path in manifests[:N_GOOD])
     assert sorted(path.name for path in output.iterdir()) == sorted(
-        ["check.html", "check.json", LEDGER, *(f"{path.stem}.png" for path in manifests[:N_GOOD])]
+        ["check.html", "check.json", MARKER, *(f"{path.stem}.png" for path in manifests[:N_GOOD])]
     )
 
 

@@ -11,7 +11,7 @@ from trip_fixtures import changed, small_fleet
 
 from suspnet.cli import commission_fleet, folders, train
 from suspnet.estimation.checkpoint import load_model
-from suspnet.ground import ledger
+from suspnet.ground import own_files
 from suspnet.ground.records import Place
 from suspnet.ground.storage import write_json
 from suspnet.runs.evaluate import find_runs
@@ -138,7 +138,7 @@ def test_finished_suspensions_are_not_trained_again(fitted, quick, fleet, tmp_pa
     kept = removed.read_text()
     removed.unlink()
     folder = tmp_path / "run"
-    ledger.begin(folder)
+    own_files.begin(folder)
     assert trained(folder, fleet) != 0
     before = stamps(folder / "one")
     removed.write_text(kept)

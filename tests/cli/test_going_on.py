@@ -14,7 +14,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from suspnet.cli import evaluate, folders, simulate, train
 from suspnet.cli.program import CONFIGS
-from suspnet.ground import ledger
+from suspnet.ground import own_files
 from suspnet.ground.storage import read_json
 
 pytestmark = pytest.mark.usefixtures("blank")
@@ -58,7 +58,7 @@ def test_folder_is_reserved_unless_the_command_line_names_it(tmp_path, kind, mon
         assert len(told) == (kind == "sweep" and not overrides)
     assert found == ["outputs/it's noon", "outputs/it's noon_2", "named", "named"]
     ours = {path.name for path in tmp_path.rglob("*") if path.is_file()}
-    assert ours == {ledger.LEDGER} | ({"multirun.yaml"} if kind == "sweep" else set())
+    assert ours == {own_files.MARKER}
 
 
 # multiruns
@@ -110,7 +110,6 @@ def test_multirun_goes_on_and_ends_as_if_uninterrupted(interrupted, tmp_path):
     kept = {path: time for path, time in begun.items() if path.parent != unfinished}
     (unfinished / "metrics.json").unlink()
     (begun_event,) = unfinished.glob(EVENTS)
-    ledger.note(unfinished / "model.json", b"", "0123abcd")
     (unfinished / ".model.json.0123abcd").write_text("{")  # half of it
     seeds = "seed=3,2,1"  # one is left out, so that the number of the last job changes
     cwd = sweep.parents[2]

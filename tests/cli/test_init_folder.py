@@ -16,7 +16,7 @@ from trip_fixtures import RATES_HZ, signal, small_fleet
 from suspnet import read_vehicles
 from suspnet.cli import check, init
 from suspnet.cli.config_files import CONFIGS
-from suspnet.ground import ledger
+from suspnet.ground import own_files
 from suspnet.ground.storage import write_atomically
 from suspnet.trains.recordings.manifest import CHANNELS
 from suspnet.trains.recordings.manifest_files import read_manifest
@@ -392,7 +392,7 @@ def test_files_of_long_names_get_manifests(tmp_path):
     written(tmp_path, *SAID, "mileage_km=7")
     (path,) = tmp_path.glob("*.yaml")
     assert read_manifest(path).channels["body"].file == name
-    ledger.begin(tmp_path / "results")
+    own_files.begin(tmp_path / "results")
     for text in "ab":
         write_atomically(tmp_path / "results" / f"{'y' * 251}.txt", text)
     assert not list(tmp_path.rglob(".*"))

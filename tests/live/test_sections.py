@@ -95,7 +95,6 @@ def test_sections_of_the_stream_are_those_of_the_batch(tmp_path, seed):
         ZERO_NS // 10**9 + k * SECTION_S for k in range(3)
     ]
     for number, running in enumerate(found):
-        assert running.rest is None
         assert_same(running.recording(), batch_of_section(tmp_path, columns, number))
 
 
@@ -136,21 +135,21 @@ def test_frame_is_divided_at_the_border(tmp_path):
     stream.add(frame(160.0, 1))
     stream.add(frame(199.98, 2))
     stream.add(replace(frame(400.0, 3), time_ns=ZERO_NS + 400 * 10**9 - 1))
-    (one,) = stream.close()
-    assert (one.end_ns, one.rest.begin_ns) == (ZERO_NS + 2 * 10**11,) * 2
-    assert one.rest.rest.begin_ns == ZERO_NS + 400 * 10**9
+    one, other, last = stream.close()
+    assert (one.end_ns, other.begin_ns) == (ZERO_NS + 2 * 10**11,) * 2
+    assert last.begin_ns == ZERO_NS + 400 * 10**9
 
 
-def test_section_is_over_when_enough_frames_have_passed_it_and_its_rest_is_long(tmp_path):
+def test_section_is_over_when_enough_frames_have_passed_it(tmp_path):
     stream = sections(tmp_path)
     for k in range(4):
         stream.add(frame(65.0 * k, k))
     stream.add(frame(201.0, 4))
     for k in range(WINDOW + 1):
         assert stream.over() == []
-        stream.add(frame(321.0 + k, 5 + k))
+        stream.add(frame(261.0 + k, 5 + k))
     (one,) = stream.over()
-    assert (one.begin_ns, one.rest) == (ZERO_NS, None)
+    assert one.begin_ns == ZERO_NS
     assert stream.over() == []
     assert taken(stream, encode(frame(199.0, 100))) == "late"
 
@@ -163,7 +162,7 @@ def test_trip_is_over_when_frames_come_after_a_pause(tmp_path):
         assert stream.over() == []
         stream.add(frame(99.04 + 301.0 + k, 4 + k))
     (one,) = stream.over()
-    assert (one.begin_ns, one.rest, one.n_frames) == (ZERO_NS, None, 4)
+    assert (one.begin_ns, one.n_frames) == (ZERO_NS, 4)
     assert taken(stream, encode(frame(390.0, 100))) == "late"
     (other,) = stream.close()
     assert other.begin_ns == ZERO_NS + 400_040_000_000
@@ -176,8 +175,8 @@ def test_begin_does_not_depend_on_the_order_of_frames(tmp_path, order):
         stream.add(frame(0.7 * k, k))
     stream.add(frame(150.0, 3))
     stream.add(frame(200.5, 4))
-    (one,) = stream.close()
-    assert (one.begin_ns, one.rest.begin_ns) == (ZERO_NS, ZERO_NS + 200_500_000_000)
+    one, other = stream.close()
+    assert (one.begin_ns, other.begin_ns) == (ZERO_NS, ZERO_NS + 200_500_000_000)
 
 
 def speed_frame(seconds, m_per_s):
@@ -210,19 +209,6 @@ def test_ten_minutes_between_two_stops_are_in_one_section(tmp_path, begin_s, lag
     assert all(one.end_ns - one.begin_ns <= 1500 * 10**9 for one in found)
     again = [b for b in begins if b < holds]
     assert again == [400 * k for k in range(len(again))]  # while it stands, from a third on
-
-
-@pytest.mark.parametrize("n_more", [0, 1])
-def test_joined_rest_survives_a_restart_and_may_grow(tmp_path, n_more):
-    stream = sections(tmp_path)
-    for k in range(30):
-        stream.add(frame(10.0 * k, k))
-    stream = gone_on(stream, sections(tmp_path))
-    for k in range(n_more):
-        stream.add(frame(320.0, 30 + k))
-    found = stream.close()
-    assert [one.begin_ns - ZERO_NS for one in found] == [0, 200 * 10**9][: 1 + n_more]
-    assert (found[0].rest is None) == bool(n_more)
 
 
 def test_stream_that_has_ended_may_go_on(tmp_path):

@@ -25,7 +25,7 @@ from suspnet.ground.parameters import (
 )
 from suspnet.ground.records import Place
 from suspnet.ground.wording import span
-from suspnet.runs.language import LANGUAGES, best_of, catalogue, check_language, speaking, spoken
+from suspnet.runs.language import LANGUAGES, catalogue, check_language, speaking, spoken
 from suspnet.trains.fits.worn_parts import WornPart
 from suspnet.trains.pages.messages import subject, text
 from suspnet.trains.pages.overview import finding
@@ -211,8 +211,6 @@ def test_language_ends_with_its_block():
     assert spoken("left") == "left"
     with pytest.raises(ValueError, match="must be one of en, de, got 'fr'"):
         check_language("fr")
-    assert best_of(["fr-FR", "de-CH", "en"]) == "de"
-    assert best_of([]) == "en"
     assert set(LANGUAGES) == {"en", "de"}
 
 

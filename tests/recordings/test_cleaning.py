@@ -38,28 +38,6 @@ def clean(values: np.ndarray, block: int = 2**20, rate_hz: float = RATE_HZ, **op
     return cleaned, bad, {(f.kind, f.repaired): f for f in cleaner.faults(5.0)}
 
 
-@pytest.mark.parametrize("late", [0.01, 0.5, 1.0])
-def test_result_does_not_depend_on_the_delay(late, monkeypatch):
-    monkeypatch.setattr(cleaning, "CORE_SAMPLES", 2000)
-    values = noise(9_700)
-    values[3000:3500], values[5555] = np.nan, 400.0
-
-    def cleaned(**options):
-        cleaner = Cleaner("body", RATE_HZ, **options)
-        parts = [part for block in np.array_split(values, 97) for part in cleaner.push(block)]
-        n_before_the_end = cleaner.n_samples
-        parts += cleaner.finish()
-        several = [np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
-        return several, cleaner.faults(), n_before_the_end
-
-    expected, faults, n_early = cleaned()
-    result, same_faults, n_late = cleaned(late=late)
-    np.testing.assert_array_equal(result, expected)
-    assert same_faults == faults
-    assert len(result[0]) == len(values)
-    assert n_early >= n_late >= n_early - 2000
-
-
 def spikes(values: np.ndarray, segment: int = 1000) -> np.ndarray:
     centre, spread = local_level(values, segment)
     return find_spikes(values, segment, centre, 25 * spread, longest=3)

@@ -11,10 +11,9 @@ from vehicles import AM96
 
 from suspnet.ground import workers
 from suspnet.ground.storage import locked
-from suspnet.trains.recordings.manifest_files import UNFINISHED, partial_words
 from suspnet.trains.simulation import writing
 from suspnet.trains.simulation.fleet import Fleet, Scenario
-from suspnet.trains.simulation.folders import FolderTakenError
+from suspnet.trains.simulation.folders import UNFINISHED, FolderTakenError
 from suspnet.trains.simulation.writing import Simulation, write_fleet
 from suspnet.vehicle import QuarterCar
 
@@ -62,14 +61,6 @@ def test_interrupted_simulation_goes_on_and_ends_as_if_uninterrupted(
     assert [path.name for path in paths] == [f"trip_{i:03d}.yaml" for i in range(1, 5)]
     simulate(tmp_path / "whole")
     assert contents(stopped) == contents(tmp_path / "whole")
-
-
-def test_partial_fleet_is_known_as_partial(stopped):
-    assert partial_words(stopped) == "partial: 2 of 4 trips are simulated"
-    (stopped / UNFINISHED).write_text("{")
-    assert partial_words(stopped) == "partial: 2 trips are simulated"
-    (stopped / UNFINISHED).unlink()
-    assert partial_words(stopped) == ""
 
 
 def test_trip_that_lost_a_file_is_written_again(stopped, tmp_path):

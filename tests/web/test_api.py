@@ -36,7 +36,7 @@ def test_lists_are_those_of_the_view(filled, ask):
     assert (len(view.names), found["complete"]) == (4, True)
     acts = [one for one in ask("alarms").json["items"] if one["active"]]
     assert (acts[0]["severity"], acts[0]["end_km"]) == ("act", None)
-    n_alarms = sum(len(state.all_alarms) for state in view.states)
+    n_alarms = sum(len(state.watched.alarms) for state in view.states)
     assert len(ask("alarms").json["items"]) == n_alarms >= len(acts) > 0
     assert len(ask("plan").json["items"]) == len(view.plan.rows()) > 0
 

@@ -27,8 +27,7 @@ from suspnet.runs.language import speaking
 from suspnet.trains.history.outbox import Message
 from suspnet.trains.pages.messages import subject, text
 
-TIMEOUT_S = 20.0
-"""Longest time that a server may take for a step of its answer, [s]."""
+TIMEOUT_S = 20.0  # longest time that a server may take for a step of its answer, [s]
 ADDRESS = re.compile(r"[^@\s<>,;:\"()\[\]\\]+@[A-Za-z0-9.-]+")  # an e-mail address without a name
 
 

@@ -13,7 +13,7 @@ from typing import Annotated, BinaryIO, Literal, NamedTuple
 
 import pyarrow as pa
 
-from suspnet.ground.ledger import free_name
+from suspnet.ground.own_files import free_name
 from suspnet.ground.settings import Setting, check_settings, setting
 from suspnet.ground.storage import DamagedFileError, open_plain
 from suspnet.trains.recordings.frames import MOST_BYTES, FrameError, decode

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from suspnet.ground.ledger import ACTING, check_own
+from suspnet.ground.own_files import ACTING, check_own
 from suspnet.ground.storage import DamagedFileError, dump_arrays, load_arrays
 
 FORMAT, STATE_FORMAT = "suspnet-journal-2", "suspnet-stream-1"

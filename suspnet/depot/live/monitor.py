@@ -27,8 +27,7 @@ log = logging.getLogger(__name__)
 WAIT_S, PAUSE_S = 1.0, 0.1
 """Longest waits for frames [s]: usually, and before a batch with fewer than ``MAX_PENDING`` frames
 is written."""
-MAX_PENDING = 256
-"""Number of frames after which a batch is written."""
+MAX_PENDING = 256  # number of frames after which a batch is written
 MAX_JOURNAL = 8 * 2**20
 """Size of a suspension's frames in the journal above which its state is saved, [bytes]. The first
 suspension uses half of it and the others values in between, so that hundreds of states are not

@@ -44,12 +44,7 @@ class Results:
                 last = [*self._store.last_before(result, N_LAST - 1), result]
                 result = with_joint_verdicts(last, suspension.models, settings.trips.level)[-1]
                 keep_trips(
-                    [result],
-                    result.place,
-                    suspension.models,
-                    limits,
-                    settings.changes,
-                    self._store,
+                    [result], result.place, suspension.models, limits, settings.changes, self._store
                 )
                 is_stored = True
             except HistoryError as error:

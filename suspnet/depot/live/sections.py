@@ -3,8 +3,7 @@
 A trip starts with the first frame after a pause, and a section at the full second of its first
 frame. A section ends if no frame comes for the length of a pause; at its full length; or, after a
 third of it, if the train has stood for the length of a pause. If frames go on, another section
-follows. A short last section joins the previous one, which waits for it. A frame is divided at the
-end of a section.
+follows. A frame is divided at the end of a section.
 
 None of this depends on the order of frames, as long as no sensor lags behind another by more than
 `late_s`, which is at most the length of a pause. A section stays open for such frames; then it is a
@@ -25,11 +24,8 @@ from suspnet.trains.recordings.running import Running
 
 MAX_OPEN = 5
 """Largest number of open sections. Three are enough if clocks are right: one that has ended, the
-rest of its trip, and the next trip. The others are for frames of wrong times, which must not close
-a section that is still running."""
-SHORT, SHORT_S = 1 / 4, 120.0
-"""Fraction of a section's length, and length [s], below which the last section of a trip joins the
-previous one: twice the length that a recording needs."""
+next one of its trip, and the next trip. The others are for frames of wrong times, which must not
+close a section that is still running."""
 TRIED_NS = 60 * SECOND_NS  # time between two checks for standstill, [ns]
 AHEAD_NS = 86_400 * SECOND_NS
 """Frames this much earlier than an ended section, [ns], are not late: a clock was wrong."""
@@ -42,7 +38,7 @@ class LiveSettings:
     section_s: int = setting(
         1200,
         "Largest length of a section, which is one trip in the history; a longer trip "
-        "becomes several, and a last one shorter than a quarter of it joins the one before",
+        "becomes several",
         "s",
         low=60,
         high=86400,
@@ -76,7 +72,6 @@ class _Open:
     """A section that is not closed."""
 
     section: Running
-    before: int | None = None  # key of the previous section of the same trip
     # for each sensor, number of its latest frames in a row that start after the section ended
     after: Counter[str] = field(default_factory=Counter)
     cut_ns: int | None = None  # where it ends early, at a standstill
@@ -88,8 +83,7 @@ class Sections:
 
     Memory is that of at most ``MAX_OPEN`` recordings of `section_s`; see ``Running``. A section
     closes once more than ``order.window`` frames of one sensor in a row start later than `late_s`
-    after the pause that follows it, or, if its trip goes on, later than this and the length of a
-    short section after its end.
+    after the pause that follows it or, if its trip goes on, after its end.
 
     `counts` are frames "dropped" with sections of wrong times, and "late" ones, part of which was
     too late. The JSON-able `identity` must be equal for a state and the stream that is restored
@@ -103,7 +97,6 @@ class Sections:
         self.section_s = settings.section_s
         self._pause_ns = round(settings.pause_s * SECOND_NS)
         self._late_ns = round(settings.late_s * SECOND_NS)
-        self._short_s = min(max(SHORT * self.section_s, SHORT_S), self.section_s)
         self.counts: Counter[str] = Counter()
         self._open: dict[int, _Open] = {}
         self._next_ns = 0
@@ -164,9 +157,7 @@ class Sections:
         passed = {
             k for k, entry in self._open.items() if max(entry.after.values(), default=0) > window
         }
-        # a section waits for a rest that may still grow
-        done = [k for k in passed if self._after(k) in passed or not self._is_short(self._after(k))]
-        last_ns = max((self._open[k].section.begin_ns for k in done), default=-1)
+        last_ns = max((self._open[k].section.begin_ns for k in passed), default=-1)
         return self._close([k for k in self._keys if self._open[k].section.begin_ns <= last_ns])
 
     def close(self) -> list[Running]:
@@ -230,11 +221,9 @@ class Sections:
         section = self._begun(key) if is_new else self._open[key].section
         section.add(piece)  # before the section is opened: a rejected frame opens none
         if is_new:
-            before = [k for k, entry in self._open.items() if self._border_ns(entry) == key]
-            self._open[key] = _Open(section, before[0] if before else None)
-            section.goes_on = bool(before)
+            section.goes_on = any(self._border_ns(entry) == key for entry in self._open.values())
+            self._open[key] = _Open(section)
             self._drop()
-        self._join_rests()
         for entry in self._open.values():
             has_passed = piece.time_ns >= self._over_ns(entry)
             entry.after[piece.sensor] = entry.after[piece.sensor] + 1 if has_passed else 0
@@ -245,27 +234,7 @@ class Sections:
 
     def _over_ns(self, entry: _Open) -> int:
         """Return the time after which frames show that a section has ended."""
-        wait_ns = max(self._late_ns, round(self._short_s * SECOND_NS))
-        pause_ns = entry.section.end_ns + self._pause_ns + self._late_ns
-        return min(self._border_ns(entry) + wait_ns, pause_ns)
-
-    def _after(self, key: int) -> int | None:
-        """Return the key of the next section of the same trip."""
-        return next((k for k, entry in self._open.items() if entry.before == key), None)
-
-    def _is_short(self, key: int | None) -> bool:
-        """Return whether a section is too short for a recording of its own; None is not."""
-        if key is None:
-            return False
-        section = self._open[key].section
-        return section.end_ns - section.begin_ns < self._short_s * SECOND_NS
-
-    def _join_rests(self) -> None:
-        for k, entry in self._open.items():
-            after = self._after(k)
-            entry.section.rest = None
-            if after is not None and self._is_short(after):
-                entry.section.rest = self._open[after].section
+        return self._end_ns(entry) + self._late_ns
 
     def _drop(self) -> None:
         """If too many sections are open, drop the one with the fewest frames, the latest of these.
@@ -276,23 +245,15 @@ class Sections:
             sections = {k: entry.section for k, entry in list(self._open.items())[:-1]}
             worst = min(sections, key=lambda k: (sections[k].n_frames, -sections[k].begin_ns))
             self.counts["dropped"] += sections[worst].n_frames
-            self._forget(worst)
+            del self._open[worst]
 
     def _close(self, keys: list[int]) -> list[Running]:
-        """Close some sections; return those that are not the rest of another."""
-        rests = {k for k in keys if self._open[k].before in self._open and self._is_short(k)}
-        closed = [self._open[k].section for k in keys if k not in rests]
-        for k in keys:
-            self._next_ns = max(self._next_ns, self._end_ns(self._open[k]))
-            self._open[k].section.flush()
-        for k in keys:
-            self._forget(k)
-        return closed
-
-    def _forget(self, key: int) -> None:
-        if (after := self._after(key)) is not None:
-            self._open[after].before = None
-        del self._open[key]
+        """Close some sections, and return them."""
+        closed = [self._open.pop(k) for k in keys]
+        for entry in closed:
+            self._next_ns = max(self._next_ns, self._end_ns(entry))
+            entry.section.flush()
+        return [entry.section for entry in closed]
 
     def state(self) -> dict[str, Any]:
         """Return arrays and JSON-able values for `restore`."""
@@ -318,4 +279,3 @@ class Sections:
             section.restore(saved["section"])
             entry = saved | {"section": section, "after": Counter(saved["after"])}
             self._open[int(k)] = _Open(**entry)
-        self._join_rests()

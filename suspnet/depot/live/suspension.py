@@ -117,7 +117,7 @@ class LiveSuspension:
     def finish(self, job: EstimateJob, estimate: SectionEstimate) -> None:
         """Advance the mileage by a section."""
         end_km = estimate.result.mileage_km + estimate.distance_km
-        self._slow.pass_section(_end_ns(job.section), end_km)
+        self._slow.pass_section(job.section.end_ns, end_km)
 
     def dump(self) -> bytes:
         """Return the state."""
@@ -143,7 +143,7 @@ class LiveSuspension:
         # mileage and temperature are looked up now, so that the time of the job does not matter
         begin_ns = section.begin_ns // SECOND_NS * SECOND_NS
         before_ns = 0 if section.goes_on else self._pause_ns
-        mileage_km, temperature_c = self._slow.within(begin_ns, _end_ns(section), before_ns)
+        mileage_km, temperature_c = self._slow.within(begin_ns, section.end_ns, before_ns)
         manifest = replace(
             self.manifest,
             name=f"{start:%Y-%m-%d %H:%M}",
@@ -153,14 +153,9 @@ class LiveSuspension:
         )
         frames = Counter(self._sections.counts)
         self._sections.counts.clear()
-        for running in filter(None, (section, section.rest)):
-            for counts in running.sensors.values():
-                frames.update(counts)
+        for counts in section.sensors.values():
+            frames.update(counts)
         return EstimateJob(section, manifest, mileage_km, dict(frames), self.models, self._trips)
-
-
-def _end_ns(section: Running) -> int:
-    return max(section.end_ns, 0 if section.rest is None else section.rest.end_ns)
 
 
 def read_suspensions(

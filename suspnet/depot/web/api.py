@@ -58,7 +58,7 @@ def trips(name: str) -> Response:
 def alarms() -> Response:
     """Return the alarms, active ones first, then the worst."""
     view = _read_view()
-    found = [(i, alarm) for i, state in enumerate(view.states) for alarm in state.all_alarms]
+    found = [(i, alarm) for i, state in enumerate(view.states) for alarm in state.watched.alarms]
     found.sort(key=lambda entry: (not entry[1].is_open, -entry[1].severity))
     return _listed(_alarm(view, i, alarm) for i, alarm in found)
 
@@ -100,7 +100,7 @@ def _read_view() -> FleetView:
 
 def _state(name: str) -> State:
     _read_view()
-    state = current_refresher().board.whole(name)
+    state = current_refresher().board.view.state(name)
     if state is None:
         abort(404, "There is no such suspension in this history.")
     return state

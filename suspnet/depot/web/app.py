@@ -25,7 +25,7 @@ from suspnet.depot.web.api import ROOT, api, http_problem, problem
 from suspnet.depot.web.health import health
 from suspnet.depot.web.pages import message_page, pages
 from suspnet.depot.web.service import SERVICE
-from suspnet.runs.language import N_, best_of, check_language, choose, gettext, spoken
+from suspnet.runs.language import ENGLISH, LANGUAGES, N_, check_language, choose, gettext, spoken
 from suspnet.trains.history import HistoryError
 from suspnet.trains.pages.board import Refresher, clock
 from suspnet.trains.pages.templates import OPTIONS, PACKAGE, equip, packaged
@@ -88,8 +88,10 @@ def create_app(
 
 def _choose_language(language: str | None) -> None:
     """Answer in a language, or in that of the browser; programs are answered in English."""
-    languages = request.accept_languages.values() if not _is_api() else ()
-    choose(language if language and not _is_api() else best_of(list(languages)))
+    if _is_api():
+        choose(ENGLISH)
+    else:
+        choose(language or request.accept_languages.best_match(LANGUAGES, ENGLISH))
 
 
 def _form_error(error: CSRFError) -> Any:

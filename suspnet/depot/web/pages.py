@@ -257,7 +257,7 @@ def _view() -> FleetView:
 
 def _state(name: str) -> State:
     """Return a suspension by its name in the URL; abort with 404 if there is none."""
-    state = current_refresher().board.whole(name)
+    state = current_refresher().board.view.state(name)
     if state is None:
         abort(404, gettext("There is no such suspension in this history."))
     return state
@@ -350,8 +350,7 @@ class AcknowledgementForm(FlaskForm):  # type: ignore[misc]
     """Form of an acknowledgement: name, text, and the alarm as the page showed it."""
 
     by = StringField(
-        N_("Your name"),
-        [DataRequired(N_("Enter your name.")), Length(max=MAX_NAME), _check_plain],
+        N_("Your name"), [DataRequired(N_("Enter your name.")), Length(max=MAX_NAME), _check_plain]
     )
     words = StringField(N_("Action taken"), [Length(max=500), _check_plain])
     parameter, cause, severity = HiddenField(), HiddenField(), HiddenField()

@@ -44,8 +44,7 @@ from suspnet.trains.history.schema import (
 from suspnet.trains.maintenance.directions import SIGNS
 from suspnet.trains.maintenance.series import NUMBERS, Event, Series, make_series
 
-ROWS = 20_000
-"""Number of rows that are Python objects at the same time, which bounds the memory."""
+ROWS = 20_000  # number of rows that are Python objects at the same time, which bounds the memory
 TEXTS = ("trip", "start", "sensors", "worn")
 VALUE_COLUMNS = [
     VALUES[key].format(name) for key in ("estimates", "half_widths") for name in ESTIMATED
@@ -53,8 +52,7 @@ VALUE_COLUMNS = [
 NUMERIC = ("suspension_id", "flagged", *NUMBERS, *VALUE_COLUMNS)
 """Columns of numbers of a block of trips; 1 is flagged."""
 NOT_NEGATIVE = {"mileage_km", *VALUE_COLUMNS[len(ESTIMATED) :]}
-SAME = 1e-9
-"""Largest relative difference of two healthy values that count as equal."""
+SAME = 1e-9  # largest relative difference of two healthy values that count as equal
 Block = dict[str, NDArray[Any]]
 """Some trips: ``TEXTS``, (n_trips,), and "numbers", (n_trips, n_numeric), as ``NUMERIC``."""
 

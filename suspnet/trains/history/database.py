@@ -16,24 +16,20 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, SQLAlch
 
 from suspnet.ground.extras import install_command
 from suspnet.ground.findings import at
-from suspnet.ground.ledger import ACTING, check_own
+from suspnet.ground.own_files import ACTING, check_own
 from suspnet.trains.history.schema import SCHEMA, metadata, versions
 
 log = logging.getLogger(__name__)
-WAIT_S = 60.0
-"""Longest time that a writer waits for another one, [s]."""
-CONNECT_S = 5
-"""Longest time to connect to a server, [s]."""
-APPLICATION_ID = 0x73757368
-"""Number in the header of an SQLite store, by which it is recognised."""
+WAIT_S = 60.0  # longest time that a writer waits for another one, [s]
+CONNECT_S = 5  # longest time to connect to a server, [s]
+APPLICATION_ID = 0x73757368  # number in the header of an SQLite store, by which it is recognised
 DAMAGED = (
     "{name}: the store is damaged ({words}); put a copy in its place, or evaluate the trips again "
     "into a new one"
 )
 READS = "suspnet_reads"
 """Execution option of read-only connections, for which SQLite takes no write lock."""
-LOCK = 0x73757370
-"""Number of PostgreSQL's advisory lock under which the tables are created."""
+LOCK = 0x73757370  # number of PostgreSQL's advisory lock under which the tables are created
 
 
 class HistoryError(ValueError):

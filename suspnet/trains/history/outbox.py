@@ -44,14 +44,10 @@ FIRST_WAIT_S, LONGEST_WAIT_S = 60.0, 6 * 3600.0
 """Time until a failed message is tried again, [s]: it doubles with each failure up to a limit."""
 MOST_ATTEMPTS = 20
 """Number of failures, in about three days, after which a message is not tried again."""
-KEPT_S = 90 * 86400.0
-"""Time for which a sent message stays in the store, [s]."""
-MOST_LISTED = 100
-"""Largest number of unsent messages that are listed."""
-LOCK = 0x73757371
-"""Number of PostgreSQL's advisory lock under which messages are queued."""
-START = "start"
-"""Kind of the row that says since when a recipient is known; it is not sent."""
+KEPT_S = 90 * 86400.0  # time for which a sent message stays in the store, [s]
+MOST_LISTED = 100  # largest number of unsent messages that are listed
+LOCK = 0x73757371  # number of PostgreSQL's advisory lock under which messages are queued
+START = "start"  # kind of the row that says since when a recipient is known; it is not sent
 
 
 @dataclass(frozen=True)

@@ -41,8 +41,7 @@ _LOGGED: set[str] = set()
 """Bad rows that this process has logged: a program that polls a store reads them often."""
 KINDS: dict[type, Any] = {sql.String: str, sql.Double: (int, float), sql.Integer: int}
 """Python types of values by column type; SQLite itself accepts any value in any column."""
-SCHEMA = 12
-"""Version of the tables; a store of any other is refused."""
+SCHEMA = 12  # version of the tables; a store of any other is refused
 
 metadata = sql.MetaData()
 Kind = type[sql.types.TypeEngine[Any]]
@@ -147,14 +146,6 @@ told = Table(
     *_needed(severity=Integer, at_km=Double, is_open=Integer),
 )
 """The last alarm of each parameter and cause that is in a message to a recipient, up to `at_km`."""
-
-overviews = Table(
-    "overviews",
-    metadata,
-    _suspension(primary_key=True),
-    *_needed(fingerprint=String, content=String),
-)
-"""What the page of the fleet shows of a suspension: a cache, from which no trip is restored."""
 
 
 @dataclass(frozen=True)

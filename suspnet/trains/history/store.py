@@ -47,7 +47,6 @@ from suspnet.trains.history.schema import (
     is_one_of,
     known_suspensions,
     log_once,
-    overviews,
     read_stored,
     row_of,
     row_of_stored,
@@ -264,21 +263,6 @@ class History:
     def all_alarms(self) -> dict[Key, list[Alarm]]:
         """Return the alarms of each suspension that has any."""
         return self._read(Alarm)
-
-    def keep_overviews(self, of_each: Mapping[Key, tuple[str, str]]) -> None:
-        """Store fingerprint and content of overviews; the revisions stay the same."""
-        with self._writing() as connection:
-            ids = self._numbers(connection, of_each)
-            rows = [(number, *of_each[key]) for key, number in ids.items()]
-            names = overviews.columns.keys()
-            upsert(connection, overviews, [dict(zip(names, row, strict=True)) for row in rows])
-
-    def overviews(self) -> dict[Key, tuple[str, str]]:
-        """Return fingerprint and content of the overview of each suspension that has one."""
-        with self._reading() as connection:
-            rows = connection.execute(sql.select(overviews)).all()
-            key_of = {n: key for n, (key, _) in known_suspensions(connection).items()}
-        return {key_of[row[0]]: (str(row[1]), str(row[2])) for row in rows if row[0] in key_of}
 
     def acknowledge(self, vehicle: str, place: Place, seen: Sequence[Acknowledgement]) -> None:
         """Store acknowledgements of alarms; the text of an existing one is replaced."""

@@ -38,7 +38,7 @@ from suspnet.trains.pages.output import (
 )
 from suspnet.trains.pages.overview import Evaluated
 from suspnet.trains.pages.report import Report
-from suspnet.trains.recordings.manifest_files import ManifestFile, partial_words
+from suspnet.trains.recordings.manifest_files import ManifestFile
 from suspnet.trains.trips.commissionings import commissionings, eras, models_of, with_truth_of_each
 from suspnet.trains.trips.earlier import FinishedTrips, with_earlier
 from suspnet.trains.trips.grouping import Group, find_groups
@@ -116,7 +116,6 @@ def evaluate_fleet(
     if not is_alone:
         for model in models:
             trip_settings(model)
-        _warn_if_partial(folder)
     done: list[Evaluated] = []
     suspensions = []
     for group in groups:
@@ -136,13 +135,6 @@ def evaluate_fleet(
     done.sort(key=lambda result: (-result.severity, result.name))
     log.info("%s\n-> %s", write_overview(done, output), output)
     return done
-
-
-def _warn_if_partial(folder: Path) -> str:
-    """Log if an interrupted simulation wrote the folder, and return what it wrote as text."""
-    if partial := partial_words(folder):
-        log.warning("%s is %s; the same simulation again writes the others", folder, partial)
-    return partial
 
 
 @contextmanager
@@ -241,8 +233,6 @@ def _report(
     armed = detector_words(watched.changes, settings.changes)
     details = report_details(group.folder, models, results, suspension.limits, level)
     details[N_("alarms of changes")] = armed
-    if partial := _warn_if_partial(group.folder):
-        details["trips"] = f"{details['trips']} ({partial})"
     if store is not None:
         details[N_("history")] = printable(str(store))
     report = Report(results, outputs, state, details, level, used, seen)

@@ -44,10 +44,8 @@ SHOWN = {
     "mass_ratio": "body over frame, mass",
 }
 """Names of the numbers of a rig in tables."""
-NOT_SHOWN = "-"
-"""Cell of a number that a record does not show."""
-READS = (*PARAMETERS, "k_s_over_M_s")
-"""Ratios that tables show."""
+NOT_SHOWN = "-"  # cell of a number that a record does not show
+READS = (*PARAMETERS, "k_s_over_M_s")  # ratios that tables show
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,8 @@ from suspnet.trains.maintenance.change import Change, Changes, ChangeSettings, f
 from suspnet.trains.maintenance.judge import beyond_words, judge, level_words
 from suspnet.trains.maintenance.series import N_LAST, Series
 
-N_QUIET = 3
-"""Trips in a row within the limits that end an alarm: an intermittent one stays active."""
-GOES_ON = 1.5
-"""Ratio of a change now to its size at the alarm above which the text gives both."""
+N_QUIET = 3  # trips in a row within the limits that end an alarm: an intermittent one stays active
+GOES_ON = 1.5  # ratio of a change now to its size at the alarm above which the text gives both
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.special import stdtr
 
 from suspnet.ground.findings import Finding, kind_is, percent, together
 from suspnet.ground.parameters import BODY_MASS, Cause, Limits, Severity
@@ -25,11 +26,9 @@ from suspnet.trains.maintenance.series import N_LAST, Series
 
 LEVEL, MULTIPLE, LEAST_PERCENT = 0.01, 2.0, 0.1
 """A step counts at this level, if it exceeds this multiple of the spread and this size [%]."""
-LEAST_SIDE = 3
-"""Fewest trips on each side of a step: one outlier is none."""
+LEAST_SIDE = 3  # fewest trips on each side of a step: one outlier is none
 ONE_FLAGGED = "the only trip is flagged"
-LARGE_PERCENT = 10.0
-"""Least difference from healthy, in %, for which the text gives the level."""
+LARGE_PERCENT = 10.0  # least difference from healthy, in %, for which the text gives the level
 REPORTED_PERCENT = 2.0
 """Least deviation of the last trip from the median of the last trips, in % of healthy, for which
 the text gives its value."""
@@ -101,8 +100,6 @@ def step_words(mileage_km: FloatArray, values: FloatArray, spread_percent: float
     at, within = int(splits[between.argmax()]), max(centred @ centred - between.max(), 1e-300)
     t = math.sqrt(between.max() / within * (n - 2))
     percent = 100 * (float(np.median(values[at:]) / np.median(values[:at])) - 1)
-    from scipy.special import stdtr  # 0.1 s, which the page of a stored fleet does not need
-
     is_large = abs(percent) > max(MULTIPLE * spread_percent, LEAST_PERCENT)
     if not is_large or 2 * stdtr(n - 2, -t) * len(splits) >= LEVEL:
         return ""

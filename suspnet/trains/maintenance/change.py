@@ -10,19 +10,10 @@ from numpy.typing import ArrayLike
 from suspnet.ground.findings import Finding
 from suspnet.ground.settings import LARGEST, check_settings, setting
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
-from suspnet.trains.maintenance.cusum import (
-    CLIP,
-    N_REFERENCE,
-    Residuals,
-    cusum,
-    residuals,
-    threshold,
-)
+from suspnet.trains.maintenance import cusum
 
-N_BACK = 5
-"""Least number of trips whose median must be back near the reference for a change to end."""
-BACK = 0.25
-"""A change has ended when the median deviation is below this share of its size."""
+N_BACK = 5  # least number of trips whose median must be back near the reference for a change to end
+BACK = 0.25  # a change has ended when the median deviation is below this share of its size
 SURE = 8.0
 """A change ends only after enough trips that the standard error of their mean is at most the size
 of the change over this."""
@@ -147,7 +138,7 @@ def find_changes(
     if usable is not None:
         good &= np.asarray(usable, dtype=bool)
     trips = np.flatnonzero(good)
-    needed = N_REFERENCE
+    needed = cusum.N_REFERENCE
     if len(trips) < needed:
         why = Finding("reference-incomplete", n_trips=len(trips), needed=needed)
         return Changes(n_reference=len(trips), n_needed=needed, why_not=why)
@@ -157,7 +148,7 @@ def find_changes(
     # all parameters at once against their references; each then has its own CUSUM
     judged = _Judged(trips, z, _limits(km[trips], len(names), settings), settings)
     logs = np.log(estimates[trips])
-    rest = residuals(logs, np.repeat(z[:, None], len(names), 1), needed)
+    rest = cusum.residuals(logs, np.repeat(z[:, None], len(names), 1), needed)
     by_parameter = {
         name: _changes_of(
             judged, logs[:, i], _relative_widths(widths.get(name), trips, needed), rest.of(i)
@@ -185,18 +176,18 @@ def _limits(km: FloatArray, n_parameters: int, settings: ChangeSettings) -> Floa
     The rate per trip uses a moving mean of the gaps. Each gap enters it equally often, so the
     expected number of false alarms per km does not depend on the spacing of the trips.
     """
-    n_gaps = N_REFERENCE - 1
+    n_gaps = cusum.N_REFERENCE - 1
     counted = np.cumsum(np.minimum(np.diff(km, prepend=km[0]), LONGEST_GAP))
     spacing = np.maximum((counted[n_gaps:] - counted[:-n_gaps]) / n_gaps, 1.0)
-    return threshold(np.minimum(spacing / settings.km_per_false_alarm / n_parameters, 0.05))
+    return cusum.threshold(np.minimum(spacing / settings.km_per_false_alarm / n_parameters, 0.05))
 
 
 def _changes_of(
-    judged: _Judged, logs: FloatArray, widths: FloatArray, rest: Residuals
+    judged: _Judged, logs: FloatArray, widths: FloatArray, rest: cusum.Residuals
 ) -> list[Change]:
     """Return the changes of one parameter; arrays have one entry for each usable trip."""
     changes = []
-    trips, needed = judged.trips, N_REFERENCE
+    trips, needed = judged.trips, cusum.N_REFERENCE
     used = np.arange(len(logs))
     start = needed
     for _ in range(len(logs)):  # each turn ends, or leaves out a trip
@@ -234,7 +225,7 @@ def _changes_of(
         start = onset
         if start >= len(used):
             break
-        rest = residuals(logs[used][:, None], judged.covariates[used][:, None], needed).of(0)
+        rest = cusum.residuals(logs[used][:, None], judged.covariates[used][:, None], needed).of(0)
     return changes
 
 
@@ -259,8 +250,8 @@ def _first(
 
     The onset maximises (sum z)^2 / n over the trips since the CUSUM was last zero.
     """
-    sums = cusum(standard)
-    z = np.clip(standard, -CLIP, CLIP)
+    sums = cusum.cusum(standard)
+    z = np.clip(standard, -cusum.CLIP, cusum.CLIP)
     for begin in np.flatnonzero((sums > limits).any(axis=0)):
         side = int(np.argmax(sums[:, begin]))
         zeros = np.flatnonzero(sums[side, :begin] == 0)

@@ -14,18 +14,14 @@ from numpy.typing import ArrayLike
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 
-ALLOWANCE = 0.5
-"""k of the CUSUM, in standard deviations: half of the shift for which it is optimal."""
+ALLOWANCE = 0.5  # k of the CUSUM, in standard deviations: half of the shift for which it is optimal
 CLIP = 6.0
 """Largest deviation of a trip that counts, [standard deviations]: none raises an alarm alone."""
-DELAY = 10
-"""Number of trips after which a trip joins the reference: a change is detected earlier."""
-MAX_CORRELATION = 0.6
-"""Largest correlation of successive trips that pre-whitening removes."""
+DELAY = 10  # number of trips after which a trip joins the reference: a change is detected earlier
+MAX_CORRELATION = 0.6  # largest correlation of successive trips that pre-whitening removes
 LEAST_SPREAD = 1e-6
 """Least standard deviation of trips, in the unit of the values: anything less is rounding."""
-N_REFERENCE = 20
-"""Number of first trips that form the reference; no change is detected before."""
+N_REFERENCE = 20  # number of first trips that form the reference; no change is detected before
 CORRELATION = 0.5
 """Largest correlation of successive trips for which ``THRESHOLDS`` hold: the least favourable one,
 because the trips of a reference do not determine their own well enough."""

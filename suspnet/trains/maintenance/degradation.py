@@ -28,14 +28,11 @@ MODELS = ("no trend", "linear", "exponential", "step", "wiener", "changing rate"
 LEAST_EIGENVALUE = 1e-9
 """Lower bound of the eigenvalues, relative to the largest, of a covariance without a Cholesky
 factor."""
-N_ONSETS = 40
-"""Number of onsets on the grid of each model."""
+N_ONSETS = 40  # number of onsets on the grid of each model
 ONSET_PASSES = 3
 """Number of times that models without B refine the grid of onsets around the best one."""
-AT_ONCE = 0.5
-"""Prior probability that wear starts before the first trip; a step is after it."""
-LEVEL_SPREAD = 0.1
-"""Prior standard deviation of the value at the first trip, whose prior mean is 1."""
+AT_ONCE = 0.5  # prior probability that wear starts before the first trip; a step is after it
+LEVEL_SPREAD = 0.1  # prior standard deviation of the value at the first trip, whose prior mean is 1
 DIFFUSIONS = np.geomspace(0.0015, 0.1, 13)
 """Standard deviations of Brownian motion after ``UNIT_KM``."""
 RATE_CHANGES = np.geomspace(0.0002, 0.02, 7)
@@ -49,10 +46,8 @@ FIRST_CHANGING = FIRST_WIENER + DIFFUSIONS.size
 """Rows of ``WearPrior.models``, those of "wiener" and "changing rate" the first ones."""
 N_STARTS = 8
 """Number of onsets of Brownian motion; an onset of the drift uses the last one before it."""
-SHORTEST = 1e-9
-"""Least length of a block [UNIT_KM], that of one of a single trip being 0."""
-TINY = 1e-300
-"""Replaces a probability of 0 in logarithms."""
+SHORTEST = 1e-9  # least length of a block [UNIT_KM], that of one of a single trip being 0
+TINY = 1e-300  # replaces a probability of 0 in logarithms
 DETAILED = 0.3
 """Models with Brownian motion are fitted only if a trend has at least this probability without."""
 

@@ -21,8 +21,7 @@ from suspnet.ground.types import FloatArray, IntArray
 
 SIGNS: dict[str, float] = {FORWARD: 1.0, REVERSE: -1.0}
 """Number of each direction of travel in arrays."""
-LEAST_PAIRS = 3
-"""Fewest pairs whose mean difference counts."""
+LEAST_PAIRS = 3  # fewest pairs whose mean difference counts
 MOST = 3.0
 """Largest |d_i| / h_i that counts: a part that changed between two trips is no error of the model.
 """

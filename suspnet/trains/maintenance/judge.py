@@ -13,15 +13,12 @@ from suspnet.ground.records import interval_ends
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.trains.maintenance.series import N_LAST, Series
 
-N_CONFIRMING = 3
-"""Number of the last trips beyond a limit that together confirm a crossing."""
-Z = 1.645
-"""Half width of a normal 90 % interval, in standard deviations."""
+N_CONFIRMING = 3  # number of the last trips beyond a limit that together confirm a crossing
+Z = 1.645  # half width of a normal 90 % interval, in standard deviations
 SMALLEST = 1e-6
 """Ratio to healthy to which values and ends of intervals are raised, so that they have a logarithm.
 """
-ABSURD = 10.0
-"""Ratio to healthy above which texts give no number, as no suspension reaches it."""
+ABSURD = 10.0  # ratio to healthy above which texts give no number, as no suspension reaches it
 
 
 @dataclass(frozen=True)

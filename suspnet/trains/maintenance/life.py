@@ -40,8 +40,7 @@ FUTURE = np.concatenate([[0.0], np.geomspace(1e-3, HORIZON_KM / UNIT_KM, 150)])
 BEST_TRIP = 0.01
 """Lower bound of a trip's noise, relative to the median of all trips: an interval of width 0 is not
 credible."""
-MIN_TRIPS = 5
-"""Fewest trips with an estimate from which a life is predicted."""
+MIN_TRIPS = 5  # fewest trips with an estimate from which a life is predicted
 N_SAMPLES = 500
 SHOWN_LEVEL = 0.8
 """Probability of the interval in which a limit is passed, as texts, pages and the plan show it."""
@@ -67,11 +66,6 @@ class Life:
         check_number("q", q, low=0, high=1)
         # the method "inverted_cdf" of np.quantile, without sorting each time
         return float(self._ascending_km[max(math.ceil(self.samples_km.size * q - 1), 0)])
-
-    @property
-    def finite_km(self) -> FloatArray:
-        """The finite samples, ascending."""
-        return self._ascending_km[: np.isfinite(self.samples_km).sum()]
 
     @cached_property
     def _ascending_km(self) -> FloatArray:

@@ -8,28 +8,20 @@ import numpy as np
 
 from suspnet.ground.types import FloatArray, IntArray
 
-UNIT_KM = 100_000.0
-"""Internal unit of mileage, [km], which keeps numbers near 1."""
-MAX_BLOCKS = 32
-"""Largest number of blocks into which the trips of a history are averaged."""
-LEAST_NOISE = 1e-5
-"""Smallest standard deviation of the noise of a trip, relative to the value."""
+UNIT_KM = 100_000.0  # internal unit of mileage, [km], which keeps numbers near 1
+MAX_BLOCKS = 32  # largest number of blocks into which the trips of a history are averaged
+LEAST_NOISE = 1e-5  # smallest standard deviation of the noise of a trip, relative to the value
 NOISE_SCALES = np.geomspace(0.05, 20.0, 24)
 """Grid of the factor from the noise that half-widths state to the noise from trip to trip."""
-NOISE_SPREAD = 0.5
-"""Prior standard deviation of the logarithm of the factor on ``NOISE_SCALES``."""
-CORRELATIONS = np.linspace(0.0, 0.75, 6)
-"""Grid of the correlation of the noise of successive trips."""
+NOISE_SPREAD = 0.5  # prior standard deviation of the logarithm of the factor on ``NOISE_SCALES``
+CORRELATIONS = np.linspace(0.0, 0.75, 6)  # grid of the correlation of the noise of successive trips
 N_HINGES = 12
 """Number of hinge onsets that are tried to remove the trend before the noise is estimated."""
 N_SLOWEST = 2
 """Number of lowest frequencies that drifts disturb, so that the noise is not estimated there."""
-MAX_BINS = 32
-"""Largest number of frequencies of the Whittle likelihood."""
-QUARTILE = NormalDist().inv_cdf(0.75)
-"""Median magnitude of a standard normal number."""
-OUTLYING = 6.0
-"""Largest deviation of a trip from the median of five, in robust standard deviations."""
+MAX_BINS = 32  # largest number of frequencies of the Whittle likelihood
+QUARTILE = NormalDist().inv_cdf(0.75)  # median magnitude of a standard normal number
+OUTLYING = 6.0  # largest deviation of a trip from the median of five, in robust standard deviations
 
 
 @dataclass(frozen=True)

@@ -28,20 +28,14 @@ URGENCIES = UNKNOWN, NOW, SOON, LATER = "unknown", "now", "soon", "later"
 """Urgencies of jobs: remaining life unknown, visit on the first possible day, visit to be decided
 on within ``SOON_DAYS``, any other visit."""
 SOON_DAYS = 30
-REPLACE, INSPECT = "replace", "inspect"
-"""What is done with a part."""
-NEVER = np.array([np.inf])
-"""Samples of the remaining life of a part whose life is unknown."""
-LEAST_DAYS = 14
-"""Fewest days that the trips must span to determine the mileage per day of a train."""
+REPLACE, INSPECT = "replace", "inspect"  # what is done with a part
+NEVER = np.array([np.inf])  # samples of the remaining life of a part whose life is unknown
+LEAST_DAYS = 14  # fewest days that the trips must span to determine the mileage per day of a train
 REACH_KM = 50_000.0
 """Mileage after a visit within which a part that is likely to pass its limit is replaced."""
-NOTICE_DAYS = 90.0
-"""Days within which a notice is inspected if no limit is predicted to be passed."""
-PASSED = 0.9
-"""Least share of samples in which a limit is passed already for it to count as passed."""
-MOST_NAMED = 3
-"""Largest number of trains that a sentence names."""
+NOTICE_DAYS = 90.0  # days within which a notice is inspected if no limit is predicted to be passed
+PASSED = 0.9  # least share of samples in which a limit is passed already for it to count as passed
+MOST_NAMED = 3  # largest number of trains that a sentence names
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,8 @@ from suspnet.ground.findings import Finding, together
 from suspnet.ground.records import SensorHealth, sensors_from_text
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 
-N_FIRST = 8
-"""Number of first trips that are the reference of a sensor."""
-IN_A_ROW = 3
-"""Trips in a row that raise an alarm of a sensor, or clear it."""
+N_FIRST = 8  # number of first trips that are the reference of a sensor
+IN_A_ROW = 3  # trips in a row that raise an alarm of a sensor, or clear it
 LEAST = {"noise": math.log(2.0), "gain": 0.05, "delay_s": 0.005, "faulty": 0.01}
 """Smallest change that counts: twice the noise, 5 % of sensitivity, 5 ms, and 1 % of a trip."""
 SPREADS = 4.0
@@ -27,15 +25,13 @@ SPREADS = 4.0
 FAR = 2.0
 """Factor on these two for a single trip: of eight first trips a deviation is so uncertain that one
 of 100 healthy trips exceeds four, one of 4,900 eight."""
-MISLEADING = ("gain", "delay_s")
-"""Numbers whose change makes estimates wrong."""
+MISLEADING = ("gain", "delay_s")  # numbers whose change makes estimates wrong
 FLAT = 0.5
 """Largest change of the gain's rise over the band, relative to that of the gain: a side of which a
 spring or damper is worn changes the gain by frequency, a sensor does not."""
 TOGETHER = (("axle_box", "bogie"), ("body",))
 """Places whose gains are relative to each other: the one that differs from most has changed."""
-Numbers = dict[str, FloatArray]
-"""Numbers of one sensor by name, along the trips, (n_trips,)."""
+Numbers = dict[str, FloatArray]  # numbers of one sensor by name, along the trips, (n_trips,)
 
 
 @dataclass(frozen=True)
@@ -153,11 +149,7 @@ def _subtract_common(sensors: Sequence[Numbers], number: str) -> None:
 
 
 def _trend(
-    name: str,
-    values: Numbers,
-    changes: Numbers,
-    eras: IntArray,
-    groups: Sequence[Sequence[str]],
+    name: str, values: Numbers, changes: Numbers, eras: IntArray, groups: Sequence[Sequence[str]]
 ) -> SensorTrend:
     beyond, far = {}, np.zeros(len(eras), dtype=np.bool_)
     with np.errstate(invalid="ignore"):  # NaN is never beyond

@@ -22,8 +22,7 @@ NUMBERS = ("mileage_km", "healthy_since_km", "speed_m_per_s", "temperature_c", "
 """Numeric columns of a series, in addition to those of each parameter."""
 PARTS, EQUAL = set(BOGIE_PARTS), set(PARAMETERS) - {BODY_MASS}
 """Springs and dampers, each part, and of both sides and axles as equal."""
-N_LAST = 5
-"""Number of the newest trips with an estimate that decide on a parameter."""
+N_LAST = 5  # number of the newest trips with an estimate that decide on a parameter
 
 
 @dataclass(frozen=True)

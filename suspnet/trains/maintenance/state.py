@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,14 +83,9 @@ class State:
         return self.series.outputs
 
     @cached_property
-    def all_alarms(self) -> list[Alarm]:
-        """Active and cleared alarms by the mileage where they start."""
-        return self.watched.alarms
-
-    @cached_property
     def alarms(self) -> list[Alarm]:
         """Active alarms, the most severe first."""
-        active = [alarm for alarm in self.all_alarms if alarm.is_open]
+        active = [alarm for alarm in self.watched.alarms if alarm.is_open]
         return sorted(active, key=lambda alarm: (-alarm.severity, alarm.begin_km))
 
     def alarms_of(self, name: str) -> list[Alarm]:
@@ -250,21 +244,6 @@ def by_urgency(states: Iterable[State]) -> list[State]:
         return -state.severity, life, vehicle, str(place)
 
     return sorted(states, key=order)
-
-
-class KeptState(State):
-    """What overview and plan show of a suspension, restored from a store without its trips.
-
-    `row` is its row of the overview, `bogie` its drawn parts. `values` are the properties of
-    ``State`` that are known; any other one raises AttributeError.
-    """
-
-    row: dict[str, Any]
-    bogie: Any
-
-    def __init__(self, **values: Any) -> None:
-        # a frozen dataclass is filled by its dictionary, in which cached properties find values
-        self.__dict__.update(values)
 
 
 MOST_RATIO = 100.0

@@ -3,12 +3,10 @@
 import logging
 import threading
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, date, datetime
-from functools import cache
 from pathlib import Path
 from typing import Any
-from weakref import WeakKeyDictionary
 
 from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import DEFAULT_LIMITS, Limits, read_limits
@@ -17,8 +15,7 @@ from suspnet.trains.history import History, HistoryError
 from suspnet.trains.maintenance.change import ChangeSettings
 from suspnet.trains.maintenance.plan import Plan, PlanSettings, plan_of
 from suspnet.trains.maintenance.series import Series
-from suspnet.trains.maintenance.state import KeptState, State, by_urgency, state_of
-from suspnet.trains.pages.kept import keep_states, kept_states
+from suspnet.trains.maintenance.state import State, by_urgency, state_of
 from suspnet.trains.pages.overview import FleetView
 
 log = logging.getLogger(__name__)
@@ -58,18 +55,12 @@ class BoardSettings:
         """Return the limits of a vehicle by its name; ValueError if `limits` cannot be read."""
         return read_limits(self.limits or {}, self.vehicles.get(vehicle, DEFAULT_LIMITS))
 
-    def made_from(self, vehicle: str) -> list[Any]:
-        """Return what states of a vehicle depend on as JSON-able values; ValueError of limits."""
-        limits = {name: (own.notice, own.act) for name, own in self.limits_of(vehicle).items()}
-        return [limits, asdict(self.changes), self.seed]
-
 
 class Board:
     """The current state of a fleet, updated from a history.
 
     Only suspensions whose revision in the store changed are read and recomputed; a long refresh
-    shows more of them from time to time. What is shown of each is stored, for the next board.
-    Alarms are stored by the evaluation of the trips.
+    shows more of them from time to time. Alarms are stored by the evaluation of the trips.
 
     `store` is the file or URL of the history; a file may be created later.
     """
@@ -77,7 +68,6 @@ class Board:
     def __init__(self, store: str, settings: BoardSettings) -> None:
         self.store = store
         self.settings = settings
-        self._made_from = cache(settings.made_from)
         self._limits: dict[str, Mapping[str, Limits]] = {}
         self._states: dict[Key, State] = {}
         self._view = FleetView()
@@ -87,8 +77,7 @@ class Board:
         self._is_due = True
         self._file: tuple[int, int] | None = None
         self._is_doubted = False
-        self._lock, self._whole_lock = threading.Lock(), threading.Lock()
-        self._whole: WeakKeyDictionary[KeptState, State] = WeakKeyDictionary()
+        self._lock = threading.Lock()
 
     @property
     def view(self) -> FleetView:
@@ -113,24 +102,6 @@ class Board:
                     version = self._view.version + 1
                     self._view = replace(self._view, version=version, trouble=str(error))
             return self._view is not before
-
-    def whole(self, name: str) -> State | None:
-        """Return the state of a suspension of the view, by its name there; None if it is gone.
-
-        Its trips are read if it was restored without them; HistoryError if the store fails.
-        """
-        view = self._view
-        if name not in view.keys:
-            return None
-        state = view.states[view.keys[name]]
-        if not isinstance(state, KeptState):
-            return state
-        with self._whole_lock:  # a page and its figures ask for it concurrently
-            if state not in self._whole:
-                with History(self.store, wait_s=LOOK_S, must_exist=True) as history:
-                    for series in history.series([state.key]):
-                        self._whole[state] = self._state_of(history, series)
-            return self._whole.get(state)
 
     def _refresh(self, history: History) -> None:
         revisions, day, file = history.revisions(), self.settings.day(), file_number(self.store)
@@ -158,13 +129,11 @@ class Board:
             self._show(history, by_urgency(self._states.values()))
 
     def _read(self, history: History, revisions: dict[Key, int], changed: list[Key]) -> None:
-        """Restore or compute the states of suspensions whose trips changed."""
+        """Compute the states of suspensions whose trips changed."""
         if self._view.bad_rows or {*changed} - self._revisions.keys():
             history.all_alarms()  # rows of alarms that cannot be read are shown
         self._forget(self._states.keys() - revisions.keys())
-        waiting = {*changed} - self._restore(history, {key: revisions[key] for key in changed})
-        if waiting and self._states and not self._view.states:
-            self._show(history, by_urgency(self._states.values()), waiting)
+        waiting = {*changed}
         due = sorted(waiting, key=lambda key: (key[0], str(key[1])))
         # in parts: an SQLite file cannot be written while it is read
         n_shown = AT_ONCE
@@ -172,32 +141,18 @@ class Board:
             keys = due[begin : begin + AT_ONCE]
             self._compute(history, keys)
             self._revisions |= {key: revisions[key] for key in keys}
-            self._keep(history, keys)
             waiting -= {*keys}
             # each time that twice as many are computed, as a view of all takes long as well
             if waiting and begin + AT_ONCE >= n_shown:
                 self._show(history, by_urgency(self._states.values()), waiting)
                 n_shown *= 2
 
-    def _restore(self, history: History, revisions: Mapping[Key, int]) -> set[Key]:
-        """Take the kept states of suspensions that were never computed; return their keys."""
-        bad = {row.key for row in history.bad_rows}
-        missing = {k: n for k, n in revisions.items() if k not in self._states and k not in bad}
-        try:
-            kept = kept_states(history, missing, self._made_from) if missing else {}
-        except ValueError:  # of limits, as ``_state_of`` says
-            return set()
-        self._states |= kept
-        self._revisions |= {key: revisions[key] for key in kept}
-        self._is_due |= bool(kept)
-        return {*kept}
-
     def _compute(self, history: History, keys: Sequence[Key]) -> None:
         series = history.series(keys)
         self._forget({*keys} - {own.key for own in series})
         for own in series:
             before = self._states.get(own.key)
-            if before is None or isinstance(before, KeptState) or not before.series.equals(own):
+            if before is None or not before.series.equals(own):
                 self._states[own.key] = self._state_of(history, own)
                 self._is_due = True
 
@@ -209,15 +164,6 @@ class Board:
             except ValueError as error:  # of a vehicle that is not in the settings
                 raise HistoryError(f"{history}: vehicle {vehicle}: {error}") from None
         return state_of(series, self._limits, settings.changes, settings.seed)
-
-    def _keep(self, history: History, keys: Sequence[Key]) -> None:
-        """Store what is shown of computed states, if the store can be written."""
-        bad = {row.key for row in history.bad_rows}  # these are read at each start
-        states = [self._states[key] for key in keys if key in self._states and key not in bad]
-        try:
-            keep_states(history, states, self._revisions, self._made_from)
-        except HistoryError as error:
-            log.debug("%s", error)
 
     def _forget(self, keys: Collection[Key]) -> None:
         self._is_due |= bool(keys)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from suspnet.ground.findings import Finding, parts_of, together
 from suspnet.ground.parameters import BOGIE_PARTS, Severity, part_words
 from suspnet.trains.maintenance.judge import ABSURD
 from suspnet.trains.maintenance.plan import Plan, place_of
-from suspnet.trains.maintenance.state import KeptState, State
+from suspnet.trains.maintenance.state import State
 from suspnet.trains.pages.templates import level, shown_number
 
 LEAST_HALF = 0.1  # smallest half width of an interval that is shown [% of healthy]
@@ -79,21 +79,14 @@ def bogie_of(state: State, plan: Plan | None = None) -> Bogie | None:
     """
     if not set(BOGIE_PARTS) & set(state.outputs):
         return None
-    bogie = state.bogie if isinstance(state, KeptState) else _bogie_of(state)
-    visits = visits_of(plan, state)
-    parts = {name: replace(part, visit=visits.get(name, "")) for name, part in bogie.parts.items()}
-    return Bogie(parts, bogie.groups)
-
-
-def _bogie_of(state: State) -> Bogie:
-    entries = worn_entries(state.worn)
+    entries, visits = worn_entries(state.worn), visits_of(plan, state)
     groups = dict(zip(LETTERS, (entry for entry in entries if len(entry[0]) > 1), strict=False))
     odds = {names[0]: text for names, text in entries if len(names) == 1}
     parts = {}
     for name in BOGIE_PARTS:
         severity = state.severities.get(name, Severity.UNKNOWN)
         letters = " ".join(letter for letter, (names, _) in groups.items() if name in names)
-        verdict = letters, odds.get(name, "")
+        verdict = letters, odds.get(name, ""), visits.get(name, "")
         parts[name] = DrawnPart(name, str(severity), *_level(state, name), *verdict)
     return Bogie(parts, {letter: group_words(*group) for letter, group in groups.items()})
 

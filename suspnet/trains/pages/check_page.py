@@ -35,10 +35,8 @@ PARTLY = "partly checked"
 """What is shown of a trip that is ready as far as it could be checked without its vehicle."""
 NEED_A_VEHICLE = "units, signs, swapped sensors and the direction of travel"
 """What can be checked only against the numbers of the vehicle."""
-TABLE_WIDTH = 100
-"""Width of the table of trips, that of a terminal, [characters]."""
-LISTED = 5
-"""Largest number of trips that are listed for one problem."""
+TABLE_WIDTH = 100  # width of the table of trips, that of a terminal, [characters]
+LISTED = 5  # largest number of trips that are listed for one problem
 TONES = {READY: "good", PARTLY: "notice", TOO_LITTLE: "notice", PROBLEM: "act"}
 """Tone of each state that is shown, the worst last; the page's style sheet has the colours."""
 

@@ -9,8 +9,7 @@ from suspnet.trains.maintenance.series import N_LAST
 from suspnet.trains.maintenance.state import State
 
 LISTED = 5  # trips that are listed for a failing sensor
-DEAD = "dead-left-out", "dead-read-alone"
-"""Kinds of the faults of a sensor that shows nothing."""
+DEAD = "dead-left-out", "dead-read-alone"  # kinds of the faults of a sensor that shows nothing
 FAILING = *DEAD, "loose", "loose-of-pair"
 
 

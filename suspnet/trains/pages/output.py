@@ -26,18 +26,9 @@ from suspnet.trains.maintenance.assessment import overall
 from suspnet.trains.maintenance.life import Life
 from suspnet.trains.maintenance.plan import Plan, joined
 from suspnet.trains.maintenance.series import relative_to_first_healthy
-from suspnet.trains.pages import trip_figures
+from suspnet.trains.pages import overview, trip_figures
 from suspnet.trains.pages.bogie import bogies_shown
 from suspnet.trains.pages.failing_sensors import LISTED, failing_sensors
-from suspnet.trains.pages.overview import (
-    REPORT,
-    Evaluated,
-    FleetView,
-    finding,
-    most_severe,
-    overview_table,
-    same_columns,
-)
 from suspnet.trains.pages.report import Report, write_report
 from suspnet.trains.pages.templates import write_page
 from suspnet.trains.pages.trend import health_trend, small_trends, trend_of_trips
@@ -207,7 +198,7 @@ def write_pages(report: Report, output: Path, *, draw: bool = True) -> None:
     # NumPy's numbers become plain ones on the way through JSON
     metrics = json.loads(json.dumps(_metrics(report), default=float))
     write_json(output / "metrics.json", metrics)
-    write_report(output / REPORT, gettext("Suspension report"), report, figures, small)
+    write_report(output / overview.REPORT, gettext("Suspension report"), report, figures, small)
 
 
 def _metrics(report: Report) -> dict[str, Any]:
@@ -243,14 +234,14 @@ def _metrics(report: Report) -> dict[str, Any]:
     }
 
 
-def write_overview(done: Sequence[Evaluated], output: Path) -> str:
+def write_overview(done: Sequence[overview.Evaluated], output: Path) -> str:
     """Write overview.parquet, .csv and .html of a folder, and return the overview as text.
 
     `done` is in the order of the rows. Each suspension is a link to its report.
     """
     rows = [suspension.row() for suspension in done]
     entries = [
-        (str(suspension.place), f"{suspension.name}/{REPORT}", suspension.state)
+        (str(suspension.place), f"{suspension.name}/{overview.REPORT}", suspension.state)
         for suspension in done
         if suspension.state is not None
     ]
@@ -260,10 +251,10 @@ def write_overview(done: Sequence[Evaluated], output: Path) -> str:
     ]
     shown = bogies_shown(entries)
     _write_fleet_page(linked, output, **shown, address=quote)
-    return overview_table(rows)
+    return overview.overview_table(rows)
 
 
-def write_fleet(view: FleetView, plan: Plan, figure: Figure, output: Path) -> None:
+def write_fleet(view: overview.FleetView, plan: Plan, figure: Figure, output: Path) -> None:
     """Write the files of a fleet: overview.html, .csv and .parquet, plan.csv and .parquet.
 
     The page holds overview, plan with its calendar `figure`, and sister suspensions; it is
@@ -286,7 +277,7 @@ def write_fleet(view: FleetView, plan: Plan, figure: Figure, output: Path) -> No
 
 def _write_table_of(rows: Sequence[Mapping[str, Any]], output: Path) -> list[dict[str, Any]]:
     """Write the overview as a table, and return its rows, each with the columns of all."""
-    rows = same_columns(rows)
+    rows = overview.same_columns(rows)
     write_table(pa.Table.from_pylist(rows), output / "overview")
     return rows
 
@@ -294,7 +285,7 @@ def _write_table_of(rows: Sequence[Mapping[str, Any]], output: Path) -> list[dic
 def _write_fleet_page(rows: Sequence[Mapping[str, Any]], output: Path, **values: Any) -> None:
     values = {"plan": None, "address": None} | values
     parameters = [name for name in PARAMETERS if name != BODY_MASS]
-    sentences = {"finding": finding(rows), "most_severe": most_severe(rows)}
+    sentences = {"finding": overview.finding(rows), "most_severe": overview.most_severe(rows)}
     values |= {"rows": rows, "parameters": parameters}
     write_page(output / "overview.html", "fleet.html", **sentences, **values)
 
@@ -311,7 +302,4 @@ def _life_row(life: Life | None) -> dict[str, Any] | None:
 def _alarm_row(alarm: Alarm, seen: Sequence[Acknowledgement]) -> dict[str, Any]:
     """Return an alarm for JSON, with the name of the person who acknowledged it last."""
     by = newest_of(alarm, seen)
-    return asdict(alarm) | {
-        "severity": str(alarm.severity),
-        "seen_by": by.by if by else "",
-    }
+    return asdict(alarm) | {"severity": str(alarm.severity), "seen_by": by.by if by else ""}

@@ -14,10 +14,10 @@ from suspnet.ground.parameters import Severity, part_words
 from suspnet.ground.records import OK, PLACE_FROM_TRAIN, Key, Place, TripResult
 from suspnet.ground.storage import content_hash
 from suspnet.trains.history.schema import BadRow
-from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm, newest_of
+from suspnet.trains.maintenance.alarms import Acknowledgement, newest_of
 from suspnet.trains.maintenance.plan import Plan
 from suspnet.trains.maintenance.series import make_series
-from suspnet.trains.maintenance.state import KeptState, State
+from suspnet.trains.maintenance.state import State
 from suspnet.trains.pages.failing_sensors import dead_words, sensor_words
 
 REPORT = "report.html"
@@ -94,6 +94,10 @@ class FleetView:
         keys = {name: i for i, name in enumerate(names)}
         self.__dict__.update(rows=rows, names=names, keys=keys)  # as frozen fields
 
+    def state(self, name: str) -> State | None:
+        """Return the state of a suspension by its name in URLs; None if there is none."""
+        return self.states[self.keys[name]] if name in self.keys else None
+
     @property
     def entries(self) -> list[tuple[str, str, State]]:
         """Place, name in URLs and state of each suspension."""
@@ -115,11 +119,6 @@ def overview_row(
     """Return the row of a suspension."""
     worst = next(iter(state.alarms), None)
     seen = worst and newest_of(worst, acknowledged.get(state.key, ()))
-    row = state.row if isinstance(state, KeptState) else _row(state, worst)
-    return row | {"acknowledged": f"{seen.by}, {seen.at[:10]}" if seen else ""}
-
-
-def _row(state: State, worst: Alarm | None) -> dict[str, Any]:
     series, shortest = state.series, state.shortest
     has_finding = state.severity > Severity.NONE  # the reasons of the others are not shown
     life = shortest and (*shortest[1].interval_km(), shortest[1].quantile_km(0.5))
@@ -136,7 +135,7 @@ def _row(state: State, worst: Alarm | None) -> dict[str, Any]:
         "sensors": sensor_words(state),
         "since_km": worst.begin_km if worst else np.nan,
         "n_alarms": len(state.alarms),
-        "acknowledged": "",
+        "acknowledged": f"{seen.by}, {seen.at[:10]}" if seen else "",
         "life_parameter": shortest[0] if shortest else "",
         "life_low_km": low,
         "life_median_km": median,

@@ -16,8 +16,7 @@ from suspnet.ground.types import BoolArray, FloatArray, IntArray
 
 LARGEST_M_PER_S2 = 1e30
 """Magnitude above which a value is missing: loggers write 3.4e38 or infinity for that."""
-STRIDE = 7
-"""Stride of the samples from which level and spread are estimated."""
+STRIDE = 7  # stride of the samples from which level and spread are estimated
 SIDE_SAMPLES, CALM = 8, 0.25
 """A spike is isolated if all but one of SIDE_SAMPLES samples on either side stay within the
 fraction CALM of its height; the ringing after an impact exceeds that."""
@@ -177,15 +176,12 @@ SPIKE_DEVIATIONS, SPIKE_SAMPLES = 25.0, 3
 """Least height of a spike above the level on both sides, in robust standard deviations (1.4826
 times the median absolute deviation of a segment), and its largest number of samples; anything
 longer counts as motion."""
-GAP_SAMPLES = 3
-"""Number of samples of the longest gap that is repaired."""
+GAP_SAMPLES = 3  # number of samples of the longest gap that is repaired
 SATURATION_FRACTION, SATURATION_SAMPLES = 0.999, 4
 """Fraction of the sensor's range from which a sample is saturated; if no range is given, least
 number of equal samples in a row at the highest or lowest value of a window."""
-CONSTANT_S = 0.1
-"""Duration beyond which identical values are marked as those of a dead sensor, [s]."""
-OFFSET_FRACTION = 0.5
-"""Fraction of the standard deviation above which a mean is reported."""
+CONSTANT_S = 0.1  # duration beyond which identical values are marked as those of a dead sensor, [s]
+OFFSET_FRACTION = 0.5  # fraction of the standard deviation above which a mean is reported
 ODD_MEAN_M_PER_S2, LARGEST_MEAN_M_PER_S2 = 30.0, 5000.0
 """Means above which a sensor's unit is doubted, and refused: gravity has 9.81 m/s2, a zero point
 that was not subtracted about the sensor's range, and gravity in mg read as g 9,810 m/s2."""
@@ -227,13 +223,10 @@ class Cleaner:
     """Cleans one channel block by block, and counts its faults.
 
     The result does not depend on how the channel is cut into blocks. `range_m_per_s2` is the
-    largest magnitude that the sensor can measure. `late` delays cleaning by a share, 0 to 1, of a
-    window: different shares prevent that hundreds of channels are cleaned in the same second.
+    largest magnitude that the sensor can measure.
     """
 
-    def __init__(
-        self, channel: str, rate_hz: float, range_m_per_s2: float | None = None, late: float = 0.0
-    ) -> None:
+    def __init__(self, channel: str, rate_hz: float, range_m_per_s2: float | None = None) -> None:
         self.channel, self.rate_hz, self.range_m_per_s2 = channel, rate_hz, range_m_per_s2
         self.segment = max(round(rate_hz * SEGMENT_S), SEGMENT_SAMPLES)
         self.n_samples, self.n_bad = 0, 0
@@ -243,7 +236,7 @@ class Cleaner:
         self._longest_constant = int(CONSTANT_S * rate_hz + 1e-9)
         context = math.ceil(max(self._longest_constant, 1) / self.segment) * self.segment
         core = math.ceil(max(CORE_SAMPLES, context) / self.segment) * self.segment
-        self._windows = _Windows(core, context, int(late * core))
+        self._windows = _Windows(core, context)
 
     def push(self, block: FloatArray) -> Iterator[tuple[FloatArray, BoolArray]]:
         """Yield values without NaN [m/s2] and a mask of bad ones, of windows that are complete."""
@@ -351,12 +344,11 @@ class Cleaner:
 class _Windows:
     """Cuts a stream into windows: consecutive cores with `context` samples on both sides.
 
-    It yields (window, samples before its core, samples of its core). A window is delayed until
-    `late` more samples than it needs have been received.
+    It yields (window, samples before its core, samples of its core).
     """
 
-    def __init__(self, core: int, context: int, late: int) -> None:
-        self.core, self.context, self.late = core, context, late  # core >= context
+    def __init__(self, core: int, context: int) -> None:
+        self.core, self.context = core, context  # core >= context
         self.pending: list[FloatArray] = []
         self.held = self.lead = 0
 
@@ -364,7 +356,7 @@ class _Windows:
         """Yield the windows that the next samples complete."""
         self.pending.append(block)
         self.held += len(block)
-        if self.held >= self.lead + self.core + self.context + self.late:
+        if self.held >= self.lead + self.core + self.context:
             yield from self._complete()
 
     def _complete(self) -> Iterator[tuple[FloatArray, int, int]]:

@@ -22,20 +22,15 @@ from suspnet.trains.recordings.manifest import CHANNELS, RIG_CHANNELS, TripManif
 from suspnet.trains.recordings.manifest_sources import channel_of
 from suspnet.trains.recordings.speed import STANDING_M_PER_S
 
-WINDOW_S = 20.0
-"""Length of the windows whose delays are compared, [s]."""
-BAND_HZ = (1.0, 15.0)
-"""Band of the cross-correlation, [Hz]."""
-LEAST_WINDOWS = 6
-"""Least number of windows with a clear correlation peak."""
+WINDOW_S = 20.0  # length of the windows whose delays are compared, [s]
+BAND_HZ = (1.0, 15.0)  # band of the cross-correlation, [Hz]
+LEAST_WINDOWS = 6  # least number of windows with a clear correlation peak
 SPEED_CLASS = 0.05
 """Relative width of a speed class, and largest relative change of the speed within a window."""
-TRIMS = 3
-"""Number of rounds in which outlying windows are excluded."""
+TRIMS = 3  # number of rounds in which outlying windows are excluded
 JUMP_SHARE = 0.25
 """The delay jumps if a jump leaves less than this share of a drift's sum of squared residuals."""
-FINEST_S = 1e-5
-"""Lower bound for the standard deviation of a delay, [s]."""
+FINEST_S = 1e-5  # lower bound for the standard deviation of a delay, [s]
 LEAST_CORRELATION = 0.4
 """Least correlation of a window's cross-spectrum with the mean one for its peak to be clear."""
 CLEAR_SHARE = 0.5
@@ -45,8 +40,7 @@ NEWTON_STEPS = 3
 """Number of Newton steps from the highest sample of the cross-correlation to its peak."""
 MEMORY = 0.2
 """Weight of the newest window in the reference cross-spectrum that tracks a drifting clock."""
-SIGNIFICANT = 6.0
-"""Least size of a drift or jump that is reported, in standard deviations."""
+SIGNIFICANT = 6.0  # least size of a drift or jump that is reported, in standard deviations
 REPORTED_S, REFUSED_S = 0.003, 0.02
 """Changes of the delay along the trip from which a drift or jump is reported, and above which the
 trip is refused, [s]: above the second, errors of estimates grow by 2 % or more."""

@@ -34,10 +34,8 @@ DATED_S = (3.15e8, 4.1e9)
 LONGEST_STEP_S = 60.0
 """Longest step of times [s] that count as seconds since 1970: a counter of nanoseconds passes their
 numbers within seconds."""
-LEAST_STEPS = 8
-"""Least number of steps of the first block by which jumps of the times are judged."""
-SAME_NS = 1000
-"""Largest difference [ns] between starts stated by files that count as the same."""
+LEAST_STEPS = 8  # least number of steps of the first block by which jumps of the times are judged
+SAME_NS = 1000  # largest difference [ns] between starts stated by files that count as the same
 
 
 @dataclass(frozen=True)

@@ -19,10 +19,8 @@ from suspnet.trains.recordings.manifest_sources import ACCELERATION_UNITS, SPEED
 MOST_DRIFT = 2e-4
 """Largest relative error of a logger's rate: 200 ppm, several times that of quartz. Times may drift
 by this much from the stated rate without a gap."""
-BLOCK = 2**18
-"""Largest number of samples of a column in one block."""
-LISTED = 20
-"""Largest number of columns that an error message lists."""
+BLOCK = 2**18  # largest number of samples of a column in one block
+LISTED = 20  # largest number of columns that an error message lists
 Block = tuple[NDArray[Any], ...]
 """One array (n_samples,) for each column: float64, or datetime64[ns] for time stamps."""
 Take = Callable[[slice], Any]
@@ -147,8 +145,7 @@ def is_vector(shape: Sequence[int]) -> bool:
     return len(shape) > 0 and int(np.prod(shape, dtype=np.int64)) == max(shape)
 
 
-MOST_SAMPLES = 48 * 3600 * 10_000
-"""Largest number of samples of a channel: two days at 10 kHz."""
+MOST_SAMPLES = 48 * 3600 * 10_000  # largest number of samples of a channel: two days at 10 kHz
 FREE_SAMPLES = 2**26
 """Number of samples that a file of any size may declare, as a channel of zeros compresses to a few
 bytes: 3.7 hours at 5 kHz, 18 hours at 1 kHz."""

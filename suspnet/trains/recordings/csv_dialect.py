@@ -19,12 +19,9 @@ from suspnet.trains.recordings.dates import Notation, date_in_lines, notation_of
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.manifest_sources import DELIMITERS, CsvDialect
 
-SAMPLE_BYTES = 2**18
-"""Number of bytes at the start of a file from which its dialect is detected."""
-TAIL_LINES = 50
-"""Largest number of rows, at the end of the sample, on which dialects are compared."""
-NEXT_LINES = 10
-"""Number of lines checked to find the first row: at least half of them must be rows."""
+SAMPLE_BYTES = 2**18  # number of bytes at the start of a file from which its dialect is detected
+TAIL_LINES = 50  # largest number of rows, at the end of the sample, on which dialects are compared
+NEXT_LINES = 10  # number of lines checked to find the first row: at least half of them must be rows
 NAME_LINES = 4
 """Largest number of lines above the rows among which those of names and units are looked for."""
 MISSING = frozenset(

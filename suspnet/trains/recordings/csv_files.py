@@ -31,20 +31,16 @@ from suspnet.trains.recordings.dates import NO_DATE, Notation, notation_of, read
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.manifest_sources import CsvDialect
 
-BLOCK_BYTES = 2**19
-"""Number of bytes that are parsed at once."""
-LONGEST_LINE = 2**20
-"""Largest number of bytes of a line."""
+BLOCK_BYTES = 2**19  # number of bytes that are parsed at once
+LONGEST_LINE = 2**20  # largest number of bytes of a line
 PARQUET_ROWS, PARQUET_BUFFER_BYTES = 2**17, 2**20
 """Number of rows in a batch, and bytes in the read buffer, of a Parquet file."""
 READ_TYPES = (pa.types.is_integer, pa.types.is_floating, pa.types.is_timestamp)
 """Types of Parquet columns that are read."""
-MENDED_BYTES = 2**12
-"""Size of a piece that Arrow refuses above which it is halved."""
+MENDED_BYTES = 2**12  # size of a piece that Arrow refuses above which it is halved
 FOOTER_LINES, MOST_LEFT_OUT = 20, 0.1
 """Largest number of lines of a footer, and largest share of lines that may be no rows besides."""
-SHOWN = 40
-"""Number of characters of a line or a word that are shown."""
+SHOWN = 40  # number of characters of a line or a word that are shown
 
 
 @contextmanager

@@ -15,10 +15,8 @@ import pyarrow.compute as pc
 from suspnet.ground.findings import Finding
 from suspnet.ground.types import BoolArray, IntArray
 
-NO_DATE = np.datetime64("1900-01-01", "D")
-"""Day of times of day whose date is unknown."""
-YEARS = (1700, 2250)
-"""Years that nanoseconds since 1970 can hold."""
+NO_DATE = np.datetime64("1900-01-01", "D")  # day of times of day whose date is unknown
+YEARS = (1700, 2250)  # years that nanoseconds since 1970 can hold
 MONTHS = {
     **{"jan": 1, "feb": 2, "mar": 3, "mrz": 3, "apr": 4, "may": 5, "mai": 5, "jun": 6, "jul": 7},
     **{"aug": 8, "sep": 9, "oct": 10, "okt": 10, "nov": 11, "dec": 12, "dez": 12},

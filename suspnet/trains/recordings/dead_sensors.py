@@ -31,8 +31,7 @@ from suspnet.trains.recordings.manifest_sources import partner_of
 from suspnet.trains.recordings.sensor import SensorSignal
 from suspnet.vehicle.quantities import LEAST_SENSORS
 
-DEAD = "dead"
-"""Kind of the fault of a dead sensor."""
+DEAD = "dead"  # kind of the fault of a dead sensor
 FEW_S, FEW_SHARE = 240.0, 0.1
 """A sensor is left out if less than this duration [s] of it is usable, or than this share of what
 is usable of the other one, whichever is longer: that much of both sensors is as good as far more of
@@ -151,13 +150,11 @@ FRAME_S, STEP_S = 2.0, 1.0
 """Length of the frames whose spectra are averaged, and step from one to the next, [s]."""
 N_AVERAGED = 16
 """Number of frames in an average; independent signals then have a coherence of about 0.1."""
-BAND_HZ = (1.0, 15.0)
-"""Band over which the coherence is averaged, up to a quarter of the rate [Hz]."""
+BAND_HZ = (1.0, 15.0)  # band over which the coherence is averaged, up to a quarter of the rate [Hz]
 ALONE, SHARED = 0.2, 0.3
 """Mean coherences below which two sensors share no motion, and above which they do. Intact sensors
 of simulated trips were below the first at low speeds only."""
-MOVING_M_PER_S = 2.0
-"""Speed above which the sensors respond to the track, [m/s]."""
+MOVING_M_PER_S = 2.0  # speed above which the sensors respond to the track, [m/s]
 USUAL = -0.2
 """Least power of another sensor, relative to its median while sharing motion, that counts as usual
 [powers of ten]. Where intact sensors of simulated trips were alone it was at most -0.28."""
@@ -170,10 +167,8 @@ others' motion: its signal at far lower speeds is unknown."""
 MOSTLY = 0.9
 """A sensor of a pair is loose all along if it shares no motion in at least this fraction of the
 frames, while the other one does in more than half of them."""
-LEAST_FRAMES = 5
-"""Least number of frames with evidence in a loose stretch."""
-EDGE_S = 10.0
-"""Uncertainty of the ends of a loose stretch: half an average plus a frame, [s]."""
+LEAST_FRAMES = 5  # least number of frames with evidence in a loose stretch
+EDGE_S = 10.0  # uncertainty of the ends of a loose stretch: half an average plus a frame, [s]
 
 
 @dataclass(frozen=True)

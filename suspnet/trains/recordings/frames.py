@@ -17,16 +17,13 @@ import pyarrow as pa
 from suspnet.ground.types import FloatArray
 from suspnet.trains.recordings.dates import SECOND_NS
 
-MOST_SAMPLES = 2**16
-"""Largest number of samples of a frame: 13 s at 5000 Hz."""
+MOST_SAMPLES = 2**16  # largest number of samples of a frame: 13 s at 5000 Hz
 MOST_BYTES = 8 * MOST_SAMPLES + 2**13
 """Largest size of an encoded frame [bytes]: samples in double precision, plus 8 KiB."""
-MOST_CHARACTERS = 200
-"""Largest length of each text in a frame."""
+MOST_CHARACTERS = 200  # largest length of each text in a frame
 MOST_SEQUENCE, MOST_NS = 2**53, 2**62
 """Bounds of sequence number and time [ns]: exact in every language, and before the year 2117."""
-RATES_HZ = (0.01, 1e6)
-"""Lowest and highest rate of a sensor, [Hz]."""
+RATES_HZ = (0.01, 1e6)  # lowest and highest rate of a sensor, [Hz]
 BORDER_SAMPLES = 1e-3
 """A sample this close before a border, [samples], counts as on it, as times are whole
 nanoseconds."""

@@ -17,10 +17,8 @@ from suspnet.trains.recordings.columns import OpenFile, size_of
 from suspnet.trains.recordings.dates import nanoseconds, read_date
 from suspnet.trains.recordings.errors import TripError
 
-MOST_CHUNK_BYTES = 2**28
-"""Largest packed chunk, which is unpacked whole to read a single sample."""
-MOST_CELLS = 4
-"""Largest number of cells within cells."""
+MOST_CHUNK_BYTES = 2**28  # largest packed chunk, which is unpacked whole to read a single sample
+MOST_CELLS = 4  # largest number of cells within cells
 MISSING_NAMES = ("_FillValue", "missing_value")
 PACKING = (*MISSING_NAMES, *("scale_factor", "add_offset", "valid_min", "valid_max", "valid_range"))
 """Attributes of netCDF on missing samples, scale, offset and valid limits of stored numbers."""

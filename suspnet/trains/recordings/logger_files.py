@@ -19,22 +19,18 @@ from suspnet.trains.recordings.columns import MOST_DRIFT, Block, Column, OpenFil
 from suspnet.trains.recordings.dates import nanoseconds
 from suspnet.trains.recordings.errors import TripError
 
-APPLIED = (0, 1)
-"""Numbers of the conversions that are applied: none and linear."""
+APPLIED = (0, 1)  # numbers of the conversions that are applied: none and linear
 REFUSED = {
     **{2: "rational", 3: "algebraic (a formula)", 4: "table", 5: "table", 6: "table of ranges"},
     **{7: "value-to-text", 8: "range-to-text", 9: "text-to-value", 10: "text-to-text"},
     11: "bit-field-to-text",
 }
 """Names of the other conversions by their numbers."""
-VIRTUAL = (3, 6)
-"""Types of channels whose raw values are the record numbers."""
-TIME = 1
-"""Kind of masters that are times."""
+VIRTUAL = (3, 6)  # types of channels whose raw values are the record numbers
+TIME = 1  # kind of masters that are times
 NO_TIMES = {2: "angle", 3: "distance"}
 """Kinds of masters along which channels are not sampled in time."""
-ALL_INVALID = 1
-"""Flag of channels without a valid sample."""
+ALL_INVALID = 1  # flag of channels without a valid sample
 
 
 @contextmanager

@@ -36,16 +36,12 @@ from suspnet.trains.recordings.manifest_sources import (
 from suspnet.vehicle.quantities import LEAST_SENSORS
 
 FORMAT = "suspnet-trip-1"
-RECORD_FORMAT = "suspnet-record-1"
-"""Format of a record of a rig, which does not travel."""
+RECORD_FORMAT = "suspnet-record-1"  # format of a record of a rig, which does not travel
 CHANNELS = ("axle_box", "bogie", "body")
 """The three vertical accelerometers, in the order of every array of signals."""
-RIG_CHANNELS = ("base", "frame", "body")
-"""The three accelerometers of a rig, likewise."""
-NAME = f"text, at most {MOST_NAME} characters"
-"""Type of the names in a manifest."""
-TEMPERATURES_C = (-60.0, 60.0)
-"""Lowest and highest plausible outside temperature, [°C]."""
+RIG_CHANNELS = ("base", "frame", "body")  # the three accelerometers of a rig, likewise
+NAME = f"text, at most {MOST_NAME} characters"  # type of the names in a manifest
+TEMPERATURES_C = (-60.0, 60.0)  # lowest and highest plausible outside temperature, [°C]
 _CONSTANT_SPEED = re.compile(r"([1-9]\d{0,2}(?:\.\d+)?) *(m/s|km/h)")
 """Pattern of a constant speed with its unit, such as 252 km/h."""
 
@@ -137,8 +133,7 @@ class TripManifest:
     times. A constant `speed` is in m/s. `channels` has one sensor or several for ``CHANNELS``.
     """
 
-    shortest_s: ClassVar[float] = 60.0
-    """Shortest length of a recording, [s]."""
+    shortest_s: ClassVar[float] = 60.0  # shortest length of a recording, [s]
     path: Path
     name: str
     vehicle: str = required(check.name, NAME, "name of the vehicle, as the model's")

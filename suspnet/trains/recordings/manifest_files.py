@@ -14,7 +14,7 @@ from suspnet.ground.core_yaml import MOST_BYTES, dump_yaml, parse_yaml
 from suspnet.ground.findings import Finding, at
 from suspnet.ground.parameters import ENDS, SIDES
 from suspnet.ground.records import MOST_NAME, Place
-from suspnet.ground.storage import one_line, read_json, read_plain, why, write_atomically
+from suspnet.ground.storage import one_line, read_plain, why, write_atomically
 from suspnet.ground.wording import command
 from suspnet.trains.recordings.errors import TripError, all_of, opening
 from suspnet.trains.recordings.manifest import (
@@ -27,10 +27,7 @@ from suspnet.trains.recordings.manifest import (
 )
 from suspnet.trains.recordings.manifest_sources import Value, keys_of
 
-NAMES = ("vehicle", "suspension", "train", "car")
-"""Keys of names, which may be numbers."""
-UNFINISHED = "unfinished.json"
-"""Name of the file that marks a folder of simulated trips as incomplete."""
+NAMES = ("vehicle", "suspension", "train", "car")  # keys of names, which may be numbers
 
 
 @dataclass(frozen=True)
@@ -228,21 +225,3 @@ def _manifests(path: Path) -> list[Path]:
     if path.suffix not in (".yaml", ".yml"):
         raise OSError(Finding("no-manifest", path=path, value=command("init", path)))
     return [path]
-
-
-def partial_words(folder: Path) -> str:
-    """Return how many trips or suspensions an interrupted simulation wrote, as text; "" if all."""
-    if not (folder / UNFINISHED).is_file():
-        return ""
-    try:
-        marked = read_json(folder / UNFINISHED)
-        noun = "suspensions" if "n_suspensions" in marked else "trips"
-        wanted = f" of {int(marked[f'n_{noun}'])}"
-    except (OSError, ValueError, LookupError, TypeError):
-        noun, wanted = "trips", ""
-    if noun == "suspensions":
-        started = {path.parent for path in folder.glob("*/*.yaml")}
-        n_written = sum(not (folder / UNFINISHED).exists() for folder in started)
-    else:
-        n_written = sum(path.is_file() for path in folder.glob("*.yaml"))
-    return f"partial: {n_written}{wanted} {noun} are simulated"

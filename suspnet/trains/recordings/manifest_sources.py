@@ -22,23 +22,16 @@ from suspnet.ground.storage import printable
 from suspnet.trains.recordings.dates import date_problem, time_zone
 from suspnet.trains.recordings.errors import TripError, all_of
 
-ACCELERATION_UNITS = {"m/s2": 1.0, "g": 9.80665}
-"""Size of each unit in m/s2."""
-SPEED_UNITS = {"m/s": 1.0, "km/h": 1 / 3.6}
-"""Size of each unit in m/s."""
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-"""Size of each unit in s."""
+ACCELERATION_UNITS = {"m/s2": 1.0, "g": 9.80665}  # size of each unit in m/s2
+SPEED_UNITS = {"m/s": 1.0, "km/h": 1 / 3.6}  # size of each unit in m/s
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # size of each unit in s
 UNITS = {"acceleration": ACCELERATION_UNITS, "speed": SPEED_UNITS, "time": TIME_UNITS}
 """Units of each kind, the SI unit first."""
-MIDDLE = "middle"
-"""Side of a single sensor midway between left and right, or of the mean of both."""
-OTHER_AXLE = "axle2"
-"""Word in the names of sensors at the other axle of the bogie."""
+MIDDLE = "middle"  # side of a single sensor midway between left and right, or of the mean of both
+OTHER_AXLE = "axle2"  # word in the names of sensors at the other axle of the bogie
 _IN_FILE = "from the file"
-POSITIVE = math.ulp(0.0)
-"""Smallest number above 0."""
-LARGEST = 1e300
-"""Largest magnitude of a number in a manifest."""
+POSITIVE = math.ulp(0.0)  # smallest number above 0
+LARGEST = 1e300  # largest magnitude of a number in a manifest
 
 
 Kind = TypeVar("Kind")
@@ -330,10 +323,7 @@ class FileSource:
         default="unknown",
     )
     csv: CsvDialect | None = optional(
-        mapping_of(CsvDialect),
-        "mapping",
-        "how a CSV file is written, below",
-        default="detected",
+        mapping_of(CsvDialect), "mapping", "how a CSV file is written, below", default="detected"
     )
 
     @property
@@ -392,8 +382,7 @@ class SensorSource(FileSource):
 
 Several = tuple[SensorSource, ...]
 """Accelerometers of one channel, those of axle 1 first, the left one of a pair first."""
-Pair = tuple[SensorSource, SensorSource]
-"""Two accelerometers at one place, the left one first."""
+Pair = tuple[SensorSource, SensorSource]  # two accelerometers at one place, the left one first
 
 
 def partner_of(name: str) -> str:

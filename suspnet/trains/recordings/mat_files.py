@@ -33,10 +33,8 @@ DATE_NAMES = ("start", "starttime", "startdate", "date", "datetime", "timestamp"
 lower case, without blanks and underscores."""
 NUMERIC = ("single", "double", *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64)))
 """Classes of variables that hold numbers."""
-MOST_COLUMNS = 1000
-"""Largest number of columns of a matrix, and of cells of a variable."""
-MOST_NOTE_BYTES = 2**12
-"""Largest size of a text that may be a unit or a date."""
+MOST_COLUMNS = 1000  # largest number of columns of a matrix, and of cells of a variable
+MOST_NOTE_BYTES = 2**12  # largest size of a text that may be a unit or a date
 _OTHER_KIND = re.compile(r"(.*[./])?(t|v|[^./]*(time|zeit|speed|geschw|veloc)[^./]*)")
 """Names of times and speeds, in lower case."""
 

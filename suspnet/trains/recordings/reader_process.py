@@ -45,10 +45,8 @@ LIMIT = "SUSPNET_READER_S"
 """Environment variable: longest time to open a file or to read its next block, [s].
 
 A block has 262,144 samples, but is a whole column in UFF files and MAT files before version 7.3."""
-CRASH_S = 5.0
-"""Longest time a process may take to exit after it has closed its connection, [s]."""
-DTYPES = ("float64", "datetime64[ns]")
-"""Types of the arrays of a block."""
+CRASH_S = 5.0  # longest time a process may take to exit after it has closed its connection, [s]
+DTYPES = ("float64", "datetime64[ns]")  # types of the arrays of a block
 PASSED = re.compile(
     r"PATH|HOME|TMPDIR|TZ|LANG|LANGUAGE|LD_LIBRARY_PATH|HDF5_USE_FILE_LOCKING|\w+_NUM_THREADS"
     r"|(LC|PYTHON|MKL|NPY|MALLOC)_?\w+"

@@ -1,17 +1,14 @@
 """Server side of `reader_process`: it forks a confined process for each file.
 
-A confined process only reads its file: no writing, no new processes, no connections. The
-protections are independent, as not every system has all of them: resource limits (POSIX), Landlock
-(Linux from 5.13 on), a list of the allowed system calls (Linux on x86-64 and ARM), and an audit
-hook in Python.
+A confined process only reads its file: no writing, no programs, no connections. The protections
+are independent, as not every system has all of them: resource limits (POSIX), Landlock (Linux from
+5.13 on), and an audit hook in Python.
 """
 
 import ctypes
-import errno
 import importlib
 import json
 import os
-import platform
 import signal
 import socket
 import struct
@@ -158,45 +155,14 @@ except ImportError:  # not a POSIX system
 else:
     HAS_LIMITS = True
 
-MOST_DESCRIPTORS = 64
-"""Largest number of files that a reader may have open."""
+MOST_DESCRIPTORS = 64  # largest number of files that a reader may have open
 _READ_FILE, _READ_DIR = 1 << 2, 1 << 3
 _FS_RIGHTS = {1: 13, 2: 14, 3: 15, 5: 16}
 """Number of file access rights, by the version of Landlock that introduced them."""
 CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
 """Numbers of Landlock's system calls, the same on all processors."""
-_SET_PDEATHSIG, _SET_SECCOMP, _SET_NO_NEW_PRIVS = 1, 22, 38
+_SET_PDEATHSIG, _SET_NO_NEW_PRIVS = 1, 38
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
-ARCHITECTURES = {"x86_64": (0xC000003E, 0), "aarch64": (0xC00000B7, 1)}
-"""Audit code of an architecture, and the place of its numbers in the tables of system calls."""
-# reading, memory, time, threads, and what a process asks about itself
-ALLOWED_CALLS = """
-read:0:63 write:1:64 close:3:57 stat:4: fstat:5:80 lstat:6: poll:7: lseek:8:62 mmap:9:222
-brk:12:214 mprotect:10:226 munmap:11:215 rt_sigaction:13:134 dup:32:23 rt_sigprocmask:14:135
-rt_sigreturn:15:139 pread64:17:67 readv:19:65 writev:20:66 access:21: sched_yield:24:124
-mremap:25:216 madvise:28:233 nanosleep:35:101 setitimer:38:103 getpid:39:172 exit:60:93
-uname:63:160 flock:73:32 getcwd:79:17 readlink:89: gettimeofday:96:169 time:201:
-getrlimit:97:163 getrusage:98:165 sysinfo:99:179 times:100:153 getuid:102:174 getgid:104:176
-geteuid:107:175 getegid:108:177 getppid:110:173 sigaltstack:131:132 gettid:186:178 futex:202:98
-sched_getaffinity:204:123 getdents64:217:61 set_tid_address:218:96 restart_syscall:219:128
-fadvise64:221:223 clock_gettime:228:113 clock_getres:229:114 clock_nanosleep:230:115
-exit_group:231:94 newfstatat:262:79 readlinkat:267:78 faccessat:269:48 ppoll:271:73
-set_robust_list:273:99 eventfd2:290:19 pipe2:293:59 getcpu:309:168 getrandom:318:278
-membarrier:324:283 statx:332:291 rseq:334:293 faccessat2:439:439
-"""
-"""Name and number of each allowed system call, on x86-64 and on ARM."""
-_ALL, _CLONE_THREAD, _TCGETS, _OF_SIGNALS = 0xFFFFFFFF, 0x10000, 0x5401, 8
-BOUNDED_CALLS = {
-    "open": (2, 0xFFFF, 1, _WRITES, 0),  # no such number on ARM
-    "openat": (257, 56, 2, _WRITES, 0),
-    "ioctl": (16, 29, 1, _ALL, _TCGETS),  # is it a terminal?
-    "fcntl": (72, 25, 1, _OF_SIGNALS, 0),
-    "clone": (56, 220, 0, _CLONE_THREAD, _CLONE_THREAD),  # threads only
-    "prlimit64": (302, 261, 0, _ALL, 0),  # of this process
-}
-OWN_SIGNALS = {"kill": (62, 129), "tgkill": (234, 131)}
-"""System calls that are allowed if an argument has certain bits: the number of the argument, the
-bits that count, and their value; in the last table the first argument is this process."""
 _REFUSED_EVENTS = (
     *("ctypes.dlopen", "os.exec", "os.fork", "os.forkpty", "os.posix_spawn", "os.spawn"),
     *("os.startfile", "os.system", "pty.spawn", "subprocess.Popen", "socket.", "pickle.find_class"),
@@ -215,18 +181,16 @@ def confine(descriptor: int, path: Path, memory_bytes: int) -> list[str]:
     with what a file could therefore make its reader do.
     """
     folders = _code_folders()
-    is_limited, is_private, is_filtered = _limit(memory_bytes), False, False
+    is_limited, is_private = _limit(memory_bytes), False
     with suppress(OSError, AttributeError):
         libc = ctypes.CDLL(None, use_errno=True)
         libc.prctl(_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
         if libc.prctl(_SET_NO_NEW_PRIVS, 1, 0, 0, 0) == 0:
             is_private = _restrict_files(libc, descriptor, folders)
-            is_filtered = _filter_calls(libc)
     _refuse_events(path, folders)
     parts = {
         "/proc (take any amount of memory)": is_limited,
-        "Landlock (read other files)": is_private,
-        "a filter of system calls (connect, start programs, change files)": is_filtered,
+        "Landlock (read and change other files, start programs, connect)": is_private,
     }
     return [part for part, is_present in parts.items() if not is_present]
 
@@ -260,9 +224,9 @@ def _limit(memory_bytes: int) -> bool:
 
 
 def _restrict_files(libc: Any, descriptor: int, folders: Sequence[str]) -> bool:
-    """Refuse other files, TCP and signals to other processes by Landlock; return whether it is so.
+    """Refuse other files, programs, TCP and signals to other processes; return whether it is so.
 
-    Its earlier versions refuse less; the filter of system calls refuses that too.
+    Earlier versions of Landlock refuse TCP and signals to Python alone, by its audit hook.
     """
     version = libc.syscall(CREATE_RULESET, None, 0, 1)
     if version < 1:
@@ -286,28 +250,6 @@ def _restrict_files(libc: Any, descriptor: int, folders: Sequence[str]) -> bool:
 
 def _allow(libc: Any, ruleset: int, handle: int, rights: int) -> None:
     libc.syscall(_ADD_RULE, ruleset, 1, struct.pack("=Qi", rights, handle), 0)
-
-
-def _filter_calls(libc: Any) -> bool:
-    """Refuse all system calls but those of the tables; return whether it is so."""
-    if platform.machine() not in ARCHITECTURES:
-        return False
-    code, place = ARCHITECTURES[platform.machine()]
-    signals = [(*numbers, 0, _ALL, os.getpid()) for numbers in OWN_SIGNALS.values()]
-    # classic BPF: (operation, skip if true, skip if false, operand)
-    load, equal, bits, give = 0x20, 0x15, 0x54, 0x06
-    allow, refuse = (give, 0, 0, 0x7FFF0000), (give, 0, 0, 0x00050000 | errno.EPERM)
-    program = [(load, 0, 0, 4), (equal, 1, 0, code), refuse, (load, 0, 0, 0)]
-    for number in (call.split(":")[1 + place] for call in ALLOWED_CALLS.split()):
-        program += [(equal, 0, 1, int(number)), allow] if number else []
-    for *numbers, argument, mask, value in (*BOUNDED_CALLS.values(), *signals):
-        program += [(equal, 0, 5, numbers[place]), (load, 0, 0, 16 + 8 * argument)]
-        program += [(bits, 0, 0, mask), (equal, 0, 1, value), allow, refuse]
-    # libraries do without calls that look missing, as clone3(), whose flags cannot be read
-    program.append((give, 0, 0, 0x00050000 | errno.ENOSYS))
-    content = ctypes.create_string_buffer(b"".join(struct.pack("HBBI", *step) for step in program))
-    head = struct.pack("HxxxxxxP", len(program), ctypes.addressof(content))
-    return bool(libc.prctl(_SET_SECCOMP, 2, head, 0, 0) == 0)
 
 
 def _refuse_events(path: Path, folders: Sequence[str]) -> None:

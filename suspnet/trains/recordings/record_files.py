@@ -18,10 +18,8 @@ from suspnet.trains.recordings.errors import TripError
 
 BEXT_DATE = slice(320, 338)
 """Bytes of the chunk `bext` that hold date and time of day, yyyy-mm-dd and hh:mm:ss."""
-TIME_RESPONSE = 1
-"""Function type of a time record in a data set 58 of a universal file."""
-ACCELERATION, TIME = 12, 17
-"""Kinds of ordinate and abscissa of a data set 58."""
+TIME_RESPONSE = 1  # function type of a time record in a data set 58 of a universal file
+ACCELERATION, TIME = 12, 17  # kinds of ordinate and abscissa of a data set 58
 LENGTHS = {1: "m", 2: "ft", 3: "m", 4: "ft", 5: "mm", 6: "cm", 7: "in", 8: "mm", 10: "mm"}
 """Unit of lengths by the code of a data set 164, which holds where a data set 58 names no unit."""
 

@@ -14,10 +14,8 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cached_property, partial
 from itertools import chain
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import SIDES
@@ -42,10 +40,8 @@ from suspnet.trains.recordings.sensor import PASS, SensorSignal, SensorStream
 from suspnet.trains.recordings.sources import open_source, zero_of
 from suspnet.trains.recordings.speed import SpeedTrack, read_speed, speed_at
 
-MOST_AT_ONCE = 2
-"""Number of sensors that are read in parallel, which bounds the memory."""
-NO_DEAD: Mapping[str, str] = {}
-"""No sensor is dead."""
+MOST_AT_ONCE = 2  # number of sensors that are read in parallel, which bounds the memory
+NO_DEAD: Mapping[str, str] = {}  # no sensor is dead
 HIGHEST_HZ = 1e6
 """Highest rate of a sensor [Hz]; the length of the decimation filter grows with the rate."""
 
@@ -300,47 +296,7 @@ def _common(
     return first, min(stream.first + len(stream.values) for stream in streams) - 1
 
 
-def followed(first: Recording, later: Recording, offset_s: float) -> Recording:
-    """Return a recording extended by a later one of the same sensors.
-
-    The gap between them is marked as unusable; there is one, as filters need samples on both sides.
-    `offset_s` is the zero of the later clock on that of the first.
-    """
-    end = round(first.start_s * first.rate_hz) + len(first.usable)
-    n_gap = round((later.start_s + offset_s) * first.rate_hz) - end
-    n_skip = max(-n_gap, 0)  # with a fractional rate they may overlap by one instant
-    n_gap = max(n_gap, 0)
-
-    # samples of the later one after the gap, each array along its last axis
-    def extended(before: NDArray[Any], after: NDArray[Any], gap: float | bool) -> Any:
-        """Return arrays (..., n) in a row, with a value in the gap."""
-        between = np.full((*before.shape[:-1], n_gap), gap)
-        return np.concatenate([before, between, after[..., n_skip:]], axis=-1)
-
-    def faulty(recording: Recording, name: str) -> BoolArray:
-        return recording.faulty.get(name, np.zeros_like(recording.usable))
-
-    usable = extended(first.usable, later.usable, False)
-    faults = (replace(fault, first_s=fault.first_s + offset_s) for fault in later.faults)
-    return replace(
-        first,
-        values={
-            name: extended(signal, later.values[name], 0.0) for name, signal in first.values.items()
-        },
-        usable=usable,
-        speed_m_per_s=extended(first.speed_m_per_s, later.speed_m_per_s, np.nan),
-        faults=(*first.faults, *faults),
-        duration_s=len(usable) / first.rate_hz,
-        words=together(dict.fromkeys((first.words, later.words))),
-        faulty={
-            name: extended(faulty(first, name), faulty(later, name), False)
-            for name in dict.fromkeys((*first.faulty, *later.faulty))
-        },
-    )
-
-
-WINDOWS = 600
-"""Largest number of windows of an overview, about the width of a figure in pixels."""
+WINDOWS = 600  # largest number of windows of an overview, about the width of a figure in pixels
 
 
 def overview(recording: Recording) -> Overview:

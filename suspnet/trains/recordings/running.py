@@ -7,7 +7,6 @@ for them, 27 bytes per instant of three sensors; `longest_s` bounds the recordin
 Where the manifest leaves rate or unit to the file, they are those of the sensor's first frame.
 """
 
-import zlib
 from collections import Counter
 from dataclasses import asdict, replace
 from functools import partial
@@ -26,7 +25,7 @@ from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.frames import Frame, FrameError, end_ns
 from suspnet.trains.recordings.manifest import TripManifest
 from suspnet.trains.recordings.manifest_sources import UNITS, SpeedSource
-from suspnet.trains.recordings.recording import HIGHEST_HZ, Recording, followed, joined
+from suspnet.trains.recordings.recording import HIGHEST_HZ, Recording, joined
 from suspnet.trains.recordings.sensor import SensorStream
 from suspnet.trains.recordings.sources import TIMES_TOLERANCE
 from suspnet.trains.recordings.speed import HIGHEST_RATE_HZ, SpeedTrack, speed_track
@@ -40,9 +39,8 @@ class Running:
     refused; they need a new recording. `rate_hz` is that of the common clock.
 
     `begin_ns` and `end_ns` are the start of the earliest and the end of the latest frame, `goes_on`
-    whether it continues the trip of another recording, `rest` a continuation of the same trip that
-    is too short for a recording of its own. Raises TripError if a rate is out of range, or the unit
-    of a sensor's `range` is missing, and ValueError if a number is out of range.
+    whether it continues the trip of another recording. Raises TripError if a rate is out of range,
+    or the unit of a sensor's `range` is missing, and ValueError if a number is out of range.
     """
 
     def __init__(
@@ -62,7 +60,6 @@ class Running:
         self.longest_s, self.before_s = longest_s, before_s
         self.begin_ns, self.end_ns = zero_ns + round(longest_s * SECOND_NS), 0
         self.goes_on = False
-        self.rest: Running | None = None
         self.order = OrderSettings() if order is None else order
         self._name = str(manifest.place)
         self._sources = manifest.sources()
@@ -90,12 +87,6 @@ class Running:
     def is_empty(self) -> bool:
         """Whether no acceleration has been received."""
         return not any(self._orders[name].n_frames for name in self._sensors)
-
-    @property
-    def n_seconds(self) -> float:
-        """Least duration received from an accelerometer, with gaps, [s]; 0 if one sent nothing."""
-        orders = [self._orders.get(name) for name in self.manifest.sensors()]
-        return min(0.0 if order is None else order.n_samples / order.rate_hz for order in orders)
 
     def add(self, frame: Frame) -> None:
         """Add a frame.
@@ -144,10 +135,7 @@ class Running:
         if channel is not None:
             unit = channel.si_size
             full_scale = None if channel.range is None else unit * channel.range
-            # spread the cleaning of sensors that start together over time, reproducibly
-            where = self.manifest.where(name)
-            late = zlib.crc32(f"{self._name}, {name}".encode()) / 2**32
-            cleaner = Cleaner(name, rate_hz, full_scale, late=late)
+            where, cleaner = self.manifest.where(name), Cleaner(name, rate_hz, full_scale)
             self._sensors[name] = SensorStream(where, cleaner, unit * channel.sign, self.rate_hz)
 
     def _rate_problem(self, name: str, rate_hz: float) -> str:
@@ -168,8 +156,7 @@ class Running:
         """Return the recording of the samples so far, as the batch would.
 
         Its clock starts at the whole second of `begin_ns`. Frames that wait for earlier ones are
-        left out unless `flush` is called first. A `rest` that gives no recording, or one without
-        the same dead sensors, is ignored. Raises TripError as `load_recording` does.
+        left out unless `flush` is called first. Raises TripError as `load_recording` does.
         """
         started = [name for name, order in self._orders.items() if order.first_ns is not None]
         missing = [name for name in self._sources if name not in started]
@@ -182,16 +169,7 @@ class Running:
             for name in self.manifest.sensors()
         }
         signals, dead = living(self.manifest, readers)
-        recording = joined(self.manifest, signals, self._track(), 0.0, self.rate_hz, dead)
-        if self.rest is None:
-            return recording
-        try:
-            rest = self.rest.recording()
-        except TripError:
-            return recording
-        if rest.dead != recording.dead:
-            return recording
-        return followed(recording, rest, (self.rest._clock_ns - self._clock_ns) / SECOND_NS)
+        return joined(self.manifest, signals, self._track(), 0.0, self.rate_hz, dead)
 
     @property
     def _clock_ns(self) -> int:

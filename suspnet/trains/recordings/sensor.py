@@ -162,8 +162,7 @@ PASS, STOP = 0.25, 0.75
 """Ends of the pass band and of the transition band, as fractions of the output rate."""
 ATTENUATION_DB = 100.0
 """Attenuation of the stop band [dB], which also sets the ripple in the pass band."""
-OVERSAMPLING = 4
-"""Least rate after the first stage, as a multiple of the output rate."""
+OVERSAMPLING = 4  # least rate after the first stage, as a multiple of the output rate
 PHASES = 512
 """Number of points per sample at which the sinc is tabulated, with linear interpolation between."""
 BLOCK_ROWS = 2**12

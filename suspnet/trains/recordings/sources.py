@@ -23,12 +23,9 @@ from suspnet.trains.recordings.uneven import POINTS, Grid, Line
 
 RATE_TOLERANCE = 1e-4
 """Largest relative difference between a stated rate and that in the header of a file."""
-WHOLE_HZ = 0.5
-"""Largest difference from a rate that the format stores as a whole number, [Hz]."""
-BAND_HZ = 25.0
-"""Frequency up to which samples are used unless a reader says otherwise, [Hz]."""
-GAP_STEPS = 1.5
-"""Multiple of the usual time step above which a step is a gap, where steps are even."""
+WHOLE_HZ = 0.5  # largest difference from a rate that the format stores as a whole number, [Hz]
+BAND_HZ = 25.0  # frequency up to which samples are used unless a reader says otherwise, [Hz]
+GAP_STEPS = 1.5  # multiple of the usual time step above which a step is a gap, where steps are even
 
 
 @dataclass(frozen=True)
@@ -206,8 +203,7 @@ def zero_of(manifest: TripManifest, name: str) -> Zero:
         return opened.zero
 
 
-LONGEST_GAP_S = 1800.0
-"""Longest gap within a trip, [s]; time stamps with a longer one are refused."""
+LONGEST_GAP_S = 1800.0  # longest gap within a trip, [s]; time stamps with a longer one are refused
 TIMES_TOLERANCE = 0.01
 """Largest relative difference between the rate by time stamps and that in the manifest."""
 

@@ -20,8 +20,7 @@ from suspnet.trains.recordings.sources import (
     open_source,
 )
 
-LARGEST_SPEED_M_PER_S = 150.0
-"""Largest speed of a train [m/s]; a larger value counts as unknown."""
+LARGEST_SPEED_M_PER_S = 150.0  # largest speed of a train [m/s]; a larger value counts as unknown
 LONGEST_SPEED_GAP_S = 10.0
 """Longest gap between two speeds that is interpolated, [s]; in longer ones the speed is unknown."""
 HIGHEST_RATE_HZ = 20.0

@@ -15,10 +15,8 @@ from suspnet.ground.types import FloatArray, IntArray
 from suspnet.trains.recordings.cleaning import find_gaps
 from suspnet.trains.recordings.errors import TripError
 
-POINTS = 8
-"""Number of samples from which a value is interpolated."""
-LEAST_STEPS = 4 * POINTS
-"""Least number of steps by which times are judged."""
+POINTS = 8  # number of samples from which a value is interpolated
+LEAST_STEPS = 4 * POINTS  # least number of steps by which times are judged
 MOST_ERROR = 0.01
 """Largest error of a sine at the end of the band by its times or by interpolation, relative."""
 ROUNDED = 1.25
@@ -30,8 +28,7 @@ DEVIATIONS, LEAST_GAP = 5.0, 0.5
 and by at least this fraction of the usual step."""
 SHORT_GAP = 4.5
 """Multiple of the usual step up to which the samples on both sides of a gap are used together."""
-BLOCK_ROWS = 2**14
-"""Number of values interpolated at once, which bounds the memory."""
+BLOCK_ROWS = 2**14  # number of values interpolated at once, which bounds the memory
 
 
 class Line:

@@ -27,8 +27,7 @@ from suspnet.trains.recordings.manifest_sources import ACCELERATION_UNITS
 from suspnet.trains.recordings.speed import LARGEST_SPEED_M_PER_S
 from suspnet.vehicle import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle, VerticalVehicle
 
-SLOW = (0.2, 0.4)
-"""Band in which the gain is checked, in multiples of the first natural frequency."""
+SLOW = (0.2, 0.4)  # band in which the gain is checked, in multiples of the first natural frequency
 GAIN_TOLERANCE = 2.0
 """Largest plausible factor between a gain and the healthy vehicle's, for any suspension."""
 CHANCE = 2.0
@@ -40,8 +39,7 @@ ISOLATED = 2.0
 """Multiple of the second natural frequency above which a lower place moves more than a higher."""
 LINKS = ("axle box and bogie frame", "bogie frame and car body")
 """Sensors between which the two coherences are."""
-COHERENT = 0.5
-"""Lowest coherence at which gains are checked."""
+COHERENT = 0.5  # lowest coherence at which gains are checked
 IN_ORDER = tuple(range(len(CHANNELS)))
 IF_SURE = (
     "if you are sure, continue: with single sensors a vehicle unlike its drawing looks so too, and "
@@ -66,8 +64,7 @@ fits better than the same number in the other unit by 1.69 and more (all shipped
 DIRECTION_MARGIN = 1.3
 """Factor by which the phases must fit one direction of travel better than the other to show it:
 worn vehicles fit the wrong one better than their drawing does by at most 1.28."""
-DIRECTION_NOISE = 0.1
-"""Noise of a phase below which its bin counts fully, [rad]."""
+DIRECTION_NOISE = 0.1  # noise of a phase below which its bin counts fully, [rad]
 
 
 def check_channels(
@@ -126,18 +123,11 @@ def check_channels(
 
 def _unchecked_gains(coherence: Tensor, low_hz: float, high_hz: float) -> str:
     """Return why units and signs are not checked; `coherence` (2,) is NaN without a bin there."""
-    least = float(coherence.min())
+    least, band = float(coherence.min()), {"low_hz": low_hz, "high_hz": high_hz}
     if math.isnan(least):
-        return Finding("gains-out-of-reach", low_hz=low_hz, high_hz=high_hz)
+        return Finding("gains-out-of-reach", **band)
     link = LINKS[int(coherence.argmin())]
-    return Finding(
-        "gains-incoherent",
-        link=link,
-        low_hz=low_hz,
-        high_hz=high_hz,
-        least=least,
-        coherent=COHERENT,
-    )
+    return Finding("gains-incoherent", link=link, **band, least=least, coherent=COHERENT)
 
 
 def shown_direction(
@@ -315,17 +305,8 @@ def _check_gains(gains: list[complex]) -> None:
         suspect = _suspect(gains, sink, source)
         if not 1 / GAIN_TOLERANCE < size < GAIN_TOLERANCE:
             slip = _slip(size)
-            raise TripError(
-                at(
-                    suspect,
-                    "gain-slip" if slip else "gain",
-                    link=link,
-                    source=source,
-                    sink=sink,
-                    size=size,
-                    slip=slip,
-                )
-            )
+            values = {"link": link, "source": source, "sink": sink, "size": size, "slip": slip}
+            raise TripError(at(suspect, "gain-slip" if slip else "gain", **values))
         if abs(math.atan2(gain.imag, gain.real)) > math.pi / 2:
             raise TripError(at(suspect, "sign-wrong", source=source, sink=sink, suspect=suspect))
 

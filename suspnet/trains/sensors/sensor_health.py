@@ -27,13 +27,11 @@ from suspnet.trains.recordings.recording import Recording
 from suspnet.trains.spectra.segments import segment_speeds, sensor_segments
 from suspnet.vehicle import PARAMETERS, ResponseGenerator
 
-LEAST_SEGMENTS = 10
-"""Smallest number of segments from which a sensor is judged."""
+LEAST_SEGMENTS = 10  # smallest number of segments from which a sensor is judged
 SLOWEST_M_PER_S, SPEED_TOLERANCE = 5.0, 0.1
 """Lowest speed in use, and deviation of those in use from their median: the bins without influence
 depend on the speed."""
-BAND_HZ = (0.2, 20.0)
-"""Band of noise and of the gains within a pair, [Hz]."""
+BAND_HZ = (0.2, 20.0)  # band of noise and of the gains within a pair, [Hz]
 INFLUENCE, STEP = 0.1, 0.01
 """Largest derivative of log abs(G_p) by a parameter's logarithm in the bins of a frame's gain: a
 part at half its value changes it by 7 % at most; and the step of the differences."""

@@ -33,13 +33,11 @@ from suspnet.vehicle import SpatialVehicle, VerticalVehicle
 from suspnet.vehicle.vertical_vehicle import OTHER_END
 
 Item = TypeVar("Item")
-CLEARER = 1.25
-"""Factor by which the misfit must fall for two sensors to be called swapped."""
+CLEARER = 1.25  # factor by which the misfit must fall for two sensors to be called swapped
 EXPLAINS = 2.0
 """Misfit below which an exchange explains a trip. With the wrong bogie given an exchange may lower
 the misfit, too, but explains nothing."""
-OTHER_BOGIE = 2.0
-"""Factor by which the misfit must fall for another bogie or axle to be reported."""
+OTHER_BOGIE = 2.0  # factor by which the misfit must fall for another bogie or axle to be reported
 NEARLY = 1.2
 """Largest rms residual at the median vehicle, over the smallest of all bogies, axles or orders of
 sensors, with which one is fitted. It allows for a worn vehicle, whose own place may not have the

@@ -36,8 +36,7 @@ EFFECTS = (
 the wheelsets, sensors that read a share of the lateral motion, flexible modes, and local floors."""
 FIRST_DAY = datetime(2015, 8, 3, 6, tzinfo=UTC)
 """Start of the first trip of the first train, a whole multiple of 20 minutes since 1970."""
-HEADWAY = timedelta(minutes=20)
-"""Time from the start of a train to that of the next one."""
+HEADWAY = timedelta(minutes=20)  # time from the start of a train to that of the next one
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from suspnet.ground import ledger
+from suspnet.ground import own_files
 from suspnet.ground.storage import locked, read_json, write_json
 from suspnet.trains.recordings.errors import TripError
-from suspnet.trains.recordings.manifest_files import UNFINISHED, read_manifest
+from suspnet.trains.recordings.manifest_files import read_manifest
 
 log = logging.getLogger(__name__)
+UNFINISHED = "unfinished.json"
+"""Name of the file that marks a folder of simulated trips as incomplete."""
 TRUTH = "truth.json"
 """Name of the file with the true numbers of a simulation, which is written last."""
 
@@ -49,26 +51,26 @@ def unfinished(
     if not mark.exists():
         if _holds_trips(folder):
             raise FolderTakenError(f"{folder} already holds trips; give another folder")
-        ledger.begin(folder)
+        own_files.begin(folder)
         write_json(mark, {f"n_{noun}": n_all, "made_from": made_from})
     elif read_json(mark).get("made_from") != made_from:
         raise FolderTakenError(
             f"{folder} already holds trips; give another folder, or the settings of that "
             "unfinished simulation to continue it"
         )
-    elif ledger.begin(folder) and n_missing < n_all:
+    elif own_files.begin(folder) and n_missing < n_all:
         log.info("%d of %d %s are written, continuing", n_all - n_missing, n_all, noun)
     try:
         yield
     # without a single trip nothing of this attempt remains
     except BaseException:
         if not _holds_trips(folder):
-            ledger.remove(mark)
-            if [path.name for path in folder.iterdir()] == [ledger.LEDGER]:
-                ledger.discard(folder)
+            mark.unlink(missing_ok=True)
+            if [path.name for path in folder.iterdir()] == [own_files.MARKER]:
+                own_files.discard(folder)
         raise
-    ledger.remove(mark)
-    ledger.discard(folder)
+    mark.unlink(missing_ok=True)
+    own_files.discard(folder)
 
 
 def _holds_trips(folder: Path) -> bool:

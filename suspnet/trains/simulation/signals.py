@@ -15,12 +15,10 @@ from suspnet.trains.recordings.manifest_sources import ACCELERATION_UNITS
 from suspnet.vehicle.motion import LinearSystem, SampledMotion
 from suspnet.vehicle.track import TrackProfile
 
-BLOCK = 1 << 18
-"""Number of samples simulated at once."""
+BLOCK = 1 << 18  # number of samples simulated at once
 LEAD_IN_S = 20.0
 """Time simulated before a trip that starts at speed [s], in which the transient decays."""
-MARGIN_M = 50.0
-"""Length of track ahead of the first and behind the last wheelset [m]."""
+MARGIN_M = 50.0  # length of track ahead of the first and behind the last wheelset [m]
 
 
 def simulate_trip(

@@ -15,8 +15,7 @@ from suspnet.vehicle import PARAMETERS, QuarterCar, SpatialVehicle, VerticalVehi
 from suspnet.vehicle.quantities import QUANTITIES, SPATIAL_QUANTITIES, LogNormal
 from suspnet.vehicle.vertical_vehicle import VehicleFamily
 
-MAX_DRAWS = 100
-"""Largest number of draws in the search for a physical vehicle."""
+MAX_DRAWS = 100  # largest number of draws in the search for a physical vehicle
 STREAM = b"scatter"
 """Part of the seed that makes these draws independent of those of trips and payload."""
 HEALTHY = tuple(f"healthy_{name}" for name in PARAMETERS[:4])

@@ -28,13 +28,7 @@ from suspnet.ground.workers import LostWorkerError, each, workers_for
 from suspnet.trains.recordings.manifest import CHANNELS, TripManifest
 from suspnet.trains.recordings.manifest_files import write_manifest
 from suspnet.trains.recordings.manifest_sources import Pair, SensorSource, SpeedSource
-from suspnet.trains.simulation.fleet import (
-    FIRST_DAY,
-    Fleet,
-    Scenario,
-    SimulatedSuspension,
-    Trains,
-)
+from suspnet.trains.simulation.fleet import FIRST_DAY, Fleet, Scenario, SimulatedSuspension, Trains
 from suspnet.trains.simulation.folders import TRUTH, is_finished, is_whole, own_folder, unfinished
 from suspnet.trains.simulation.signals import Journey, profile_length_m, simulate_trip
 from suspnet.trains.simulation.true_vehicle import scattered, true_numbers, with_separate_parts
@@ -43,10 +37,8 @@ from suspnet.vehicle.motion import LinearSystem
 from suspnet.vehicle.quantities import ADDITIONS, IN_MOTION
 from suspnet.vehicle.track import TrackProfile, cross_level_spectrum, make_profile, track_spectrum
 
-ROW_GROUP = 1 << 20
-"""Rows per row group of the Parquet files."""
-ANTI_ALIAS = ("kaiser", 12.0)
-"""Window of the resampling filter."""
+ROW_GROUP = 1 << 20  # rows per row group of the Parquet files
+ANTI_ALIAS = ("kaiser", 12.0)  # window of the resampling filter
 HOURS_A_DAY = 5.0
 """Hours a day that a simulated train runs at its speed: at 70 m/s 1,260 km a day, or 460,000 km a
 year, which is what high-speed trains run."""

@@ -20,8 +20,7 @@ from suspnet.ground.parameters import BODY_MASS, REVERSE
 from suspnet.ground.records import Commissioning, Place, TripResult
 from suspnet.trains.spectra.steady_parts import speed_range
 
-NAMED = 6
-"""Largest number of suspensions that an error names."""
+NAMED = 6  # largest number of suspensions that an error names
 
 
 def since_km(model: Model) -> float:

@@ -29,8 +29,7 @@ from suspnet.trains.recordings.manifest_files import ManifestFile
 from suspnet.trains.trips.commissionings import healthy_state
 
 log = logging.getLogger(__name__)
-FOLDER = "finished_trips"
-"""Subfolder of an evaluation's output that holds its trips' results."""
+FOLDER = "finished_trips"  # subfolder of an evaluation's output that holds its trips' results
 LEFT_OUT = (
     "{}: {} earlier trips of {} are relative to another healthy vehicle than these models' and are "
     "left out; name that model's run too: run=[EARLIER,LATER]"

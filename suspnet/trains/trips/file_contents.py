@@ -63,8 +63,7 @@ WORDS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
     },
 }
 """Words for each value of the keys with a choice."""
-NUMBERS = ("mileage_km", "temperature_c", "wheel_diameter_m")
-"""Keys whose values are numbers."""
+NUMBERS = ("mileage_km", "temperature_c", "wheel_diameter_m")  # keys whose values are numbers
 _LINE = re.compile(r"[\W_]*(?P<name>[^:=;\t,]{2,40}?)[\"'\s]*[:=;\t,]+(?P<rest>.+)")
 _NUMBER = re.compile(r"[-+]?\d[\d.,' ]*")
 _BRACKETS = re.compile(r"[\[(]([^\[\]()]*)[\])]")
@@ -175,12 +174,9 @@ def _number(text: str, is_german: bool) -> float | None:
 
 
 ACCELERATION, SPEED = "acceleration", "speed"
-MILEAGE = "mileage_km"
-"""The key of a manifest that a column may state."""
-MOST_COLUMNS = 500
-"""Largest number of columns of a file that are inspected."""
-MOSTLY_RISING = 0.99
-"""Least share of rising steps in a column of times."""
+MILEAGE = "mileage_km"  # the key of a manifest that a column may state
+MOST_COLUMNS = 500  # largest number of columns of a file that are inspected
+MOSTLY_RISING = 0.99  # least share of rising steps in a column of times
 _WORDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     SPEED: (("speed", "veloc", "geschwind", "tempo"), ("v", "vel", "kmh", "kph", "mps", "vzug")),
     "axle_box": (
@@ -236,8 +232,7 @@ def is_of_another_direction(column: str) -> bool:
     return bool(set(words_of(column)) & set(_OTHER_DIRECTIONS))
 
 
-Address = tuple[Path, str]
-"""File and name of a column."""
+Address = tuple[Path, str]  # file and name of a column
 
 
 @dataclass(frozen=True)

@@ -55,10 +55,8 @@ SIGNAL_KEYS = ("unit", "rate_hz", "range", "speed_unit", "speed_rate_hz")
 """Keys that hold for all accelerometers, or for the speed, of all trips."""
 SAYABLE = (*PLACE_KEYS, SPEED, *(f"channels.{name}" for name in CHANNELS), *SIGNAL_KEYS)
 """Keys that may be said once for all trips."""
-MOST_SHOWN = 20
-"""Largest number of columns that are offered for a channel."""
-OTHER = "@2"
-"""End of the name of a column whose sensor is at the bogie's other axle."""
+MOST_SHOWN = 20  # largest number of columns that are offered for a channel
+OTHER = "@2"  # end of the name of a column whose sensor is at the bogie's other axle
 OF_OTHER_AXLE = f", and likewise of those at the bogie's other axle, with {OTHER} at their end"
 """What may be said besides the columns of a channel."""
 BY_COMMAND_LINE = "by the command line"

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from suspnet.ground.findings import Finding
-from suspnet.ground.ledger import LEDGER
+from suspnet.ground.own_files import MARKER
 from suspnet.ground.records import Key, Place
 from suspnet.ground.storage import distinct, why
 from suspnet.trains.recordings.manifest_files import ManifestFile, find_manifests
@@ -16,7 +16,7 @@ from suspnet.trains.recordings.manifest_files import ManifestFile, find_manifest
 log = logging.getLogger(__name__)
 TAKEN = (
     *("overview.html", "overview.csv", "overview.parquet", "config.yaml", "exit_code", "figures"),
-    *("fleet.json", "error.txt", LEDGER),
+    *("fleet.json", "error.txt", MARKER),
 )
 """File names in the output that no suspension's folder may have."""
 

@@ -8,8 +8,7 @@ from suspnet.ground.wording import command
 from suspnet.trains.recordings.manifest import CHANNELS, RECORD_FORMAT, RIG_CHANNELS
 from suspnet.trains.trips.folder_manifests import Trip
 
-STATED = ("vehicle", "start", "temperature_c")
-"""Keys of a trip that a record has, too."""
+STATED = ("vehicle", "start", "temperature_c")  # keys of a trip that a record has, too
 OF_CHANNELS = {
     f"channels.{ours}": f"channels.{theirs}"
     for ours, theirs in zip(CHANNELS, RIG_CHANNELS, strict=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
 
-from suspnet.ground.ledger import shortened
+from suspnet.ground.own_files import shortened
 from suspnet.ground.parameters import SIDES
 from suspnet.ground.storage import distinct, read_plain
 from suspnet.ground.wording import natural
@@ -22,10 +22,8 @@ from suspnet.trains.trips.file_contents import (
     words_of,
 )
 
-DEEPEST = 3
-"""Number of levels of folders that are searched."""
-IGNORED = ("vehicle", "outputs")
-"""Names of folders that hold no trips."""
+DEEPEST = 3  # number of levels of folders that are searched
+IGNORED = ("vehicle", "outputs")  # names of folders that hold no trips
 _GPS = ("gps", "gnss", "nmea")
 MOST_NAME_BYTES = 245
 """Longest name of a trip; file systems allow 255 bytes, of which its manifest needs more."""
