@@ -18,7 +18,12 @@ from suspnet.estimation.suspension_law import SuspensionLaw
 from suspnet.ground.parameters import COMPONENTS, FORWARD, REVERSE
 from suspnet.trains.fits import bogie_fit, bogie_search
 from suspnet.trains.fits import healthy_scatter as bogie_scatter
-from suspnet.trains.fits.bogie_fit import SENSITIVITY, commission_bogie, fit_parts
+from suspnet.trains.fits.bogie_fit import (
+    SENSITIVITY,
+    SENSITIVITY_OF_KINDS,
+    commission_bogie,
+    fit_parts,
+)
 from suspnet.trains.fits.bogie_misfit import BogieMisfit
 from suspnet.trains.fits.bogie_search import (
     SearchEnd,
@@ -198,6 +203,19 @@ def test_scatter_and_few_trips_widen_intervals(commissioned):
         expected[i, i] += (1 - 1 / 2.0**2) * (SENSITIVITY[COMPONENTS[i][:3]] * wear) ** 2
     tau = student_t(4).ppf(0.95) / norm.ppf(0.95)
     np.testing.assert_allclose(later.covariance, tau**2 * (of_noise + expected), rtol=1e-9)
+
+
+def test_kinds_that_are_read_as_one_have_errors_of_their_own(commissioned):
+    one, alike = trip(drawn(VEHICLE, row({}), 5), 70.0), (0.01, 0.02, 0.03, 0.04)
+    scatter = HealthyScatter((0.0,) * 4, alike, 5, ())
+    bogies = replace(commissioned, scatter=None), replace(commissioned, scatter=scatter, misfit=2.0)
+    plain, wide = (fit_parts(bogie, one, start=ratios({}), equal=True) for bogie in bogies)
+    logs = np.log(wide.values[:-1])
+    wear = np.maximum(np.abs(logs), np.abs(logs).max() / 2)
+    sizes = np.append([SENSITIVITY_OF_KINDS[name] for name in wide.names[:-1]] * wear, 0.15)
+    expected = np.diag(np.append(np.square(alike), 0.0) + (1 - 1 / 2.0**2) * sizes**2)
+    tau = student_t(4).ppf(0.95) / norm.ppf(0.95)
+    np.testing.assert_allclose(wide.covariance, tau**2 * (plain.covariance + expected), rtol=1e-9)
 
 
 @pytest.mark.parametrize("load_m", [None, (0.3, -0.04)])
