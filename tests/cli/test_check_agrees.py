@@ -115,6 +115,7 @@ def test_check_finds_too_little_where_training_leaves_a_trip_out(of_parts):
     assert (found.shows_parts, dict(found.least_losses)) == (False, {})
 
 
+@pytest.mark.slow
 def test_losses_that_would_be_named_are_computed_of_the_first_trips_only(
     of_parts, tmp_path, monkeypatch
 ):

@@ -240,6 +240,7 @@ def test_table_of_another_width_than_its_names_is_refused(part, quarter_car, tas
         train(problem, LinearRegression())
 
 
+@pytest.mark.slow
 def test_script_of_the_user_trains_and_searches_its_method_with_its_features(tmp_path):
     (tmp_path / "mine.py").write_text(MODULE)
     run = tmp_path / "run"

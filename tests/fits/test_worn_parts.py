@@ -151,7 +151,7 @@ def scattering(own, n_trips):
 
 
 def test_healthy_trips_accuse_as_often_as_draws_of_them():
-    bogie, n = scattering(0.05, 3), 2000
+    bogie, n = scattering(0.05, 3), 600
     rng = np.random.default_rng(7)
     spread = np.sqrt(2 / rng.chisquare(2, (n, 1)))
     logs = 0.005 * rng.standard_normal((n, 12)) + 0.05 * spread * rng.standard_normal((n, 12))

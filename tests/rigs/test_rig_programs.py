@@ -126,6 +126,7 @@ def one_line(ended):
     return lines[0]
 
 
+@pytest.mark.slow
 def test_exchanged_sensors_are_named(folder):
     write(folder / "healthy", TRUE, range(3))
     swapped = (CHANNELS[0], "channels.frame=a2 [m/s2]", "channels.body=a1 [m/s2]")

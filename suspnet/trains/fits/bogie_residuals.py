@@ -78,10 +78,3 @@ class Residuals:
     def expected(self) -> float:
         """Mean square of a residual where the model is right."""
         return self.subspaces[0].expected
-
-    @property
-    def n_independent(self) -> float:
-        """Number of independent residuals of all trips."""
-        shapes = [subspace.spectra.values.shape for subspace in self.subspaces]
-        n_inputs = self.subspaces[0].n_inputs
-        return sum(2 * n_bins * n * n_inputs for n_bins, n, _ in shapes) * self.expected

@@ -51,7 +51,7 @@ MOST_ODDS = 1000.0
 """Odds above which no number is reported: they are those of a model."""
 
 
-N_HEALTHY = 100_000
+N_HEALTHY = 20_000
 """Healthy trips that are drawn to find how many of them are given a verdict."""
 MOST_LOSS, LOSS_STEP = 0.8, 1e-3
 """Largest loss that is tried where the least one that is named is asked for, and its step."""
