@@ -31,8 +31,9 @@ from tube import tube_markdown
 from suspnet.cli.kinds import read_vehicles
 from suspnet.ground.storage import write_atomically
 from suspnet.runs.tables import MODEL_TITLES, table6_caption, table6_markdown
+from suspnet.trains.fits.bogie_fit import FURTHER_PARTS
 from suspnet.vehicle import QuarterCar
-from suspnet.vehicle.quantities import PARTS, QUANTITIES
+from suspnet.vehicle.quantities import PARTS, PLACES, QUANTITIES, SPATIAL_QUANTITIES
 
 ROOT = Path(__file__).parents[1]
 RESULTS = Path(__file__).parent / "results"
@@ -174,15 +175,24 @@ def paper_impact(_: Sequence[Row]) -> str:
     return markdown([list(row.values()) for row in rows], list(rows[0]))
 
 
+OTHERS = PLACES[1:]
+ORDER = ("", *PARTS, *FURTHER_PARTS)
+
+
 def family(_: Sequence[Row]) -> str:
     """Return the numbers of the family of vehicles that commissioning fits, with their priors."""
     lines = []
-    for one in sorted(QUANTITIES, key=lambda one: ("", *PARTS).index(one.part)):
+    # numbers of each sensor stand once, for the first place
+    added = [
+        q for q in SPATIAL_QUANTITIES if q.part in FURTHER_PARTS and not q.name.endswith(OTHERS)
+    ]
+    for one in sorted([*QUANTITIES, *added], key=lambda one: ORDER.index(one.part)):
         if one.deviation:
             nominal = "given" if one.nominal is None else f"{one.nominal:g} {one.unit}".strip()
             part = one.part or "all"
             deviation = f"{one.deviation:g}" + " of 1 + ratio" * one.may_be_absent
-            lines.append([part, f"`{one.name}`", one.meaning, nominal, deviation])
+            name, meaning = (text.replace(PLACES[0], "PLACE") for text in (one.name, one.meaning))
+            lines.append([part, f"`{name}`", meaning, nominal, deviation])
     for line, above in reversed(list(itertools.pairwise(lines))):
         if line[0] == above[0]:
             above[0] = ""
