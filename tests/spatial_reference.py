@@ -210,8 +210,7 @@ class Train:
             above, below = moved(BODY, at - self.centre, Z), np.zeros(SIZE)
             above[42], below[47] = n["equipment_at_bending"], 1.0
             above[45] = n["equipment_at_second"]
-            turned = n["twist_at_pivot"] * n["equipment_ahead"] / n["half_pivot_distance"]
-            above[46] = turned * n["equipment_aside"]
+            above[46] = n["equipment_at_twist"] * n["equipment_aside"]
             self.add(self.mode("equipment", hung), above, below)
         for place in self.floors:
             at, mass = 42 + FREE.index(place), n[f"floor_mass_{place}"]

@@ -183,8 +183,7 @@ def _hung(layout: Layout, p: Mapping[str, Tensor]) -> Joint:
     aside = _across(layout, p, p["equipment_aside"])
     body: Row = {"z": -1.0, "phi": -_along(layout, p, ahead), "theta": -aside}
     body |= {"q": -p["equipment_at_bending"], "q_b": -p["equipment_at_second"]}
-    # the body's torsion grows evenly from its middle to the pivots
-    body |= {"tau_b": -ahead * p["twist_at_pivot"] * p["equipment_aside"]}
+    body |= {"tau_b": -p["equipment_at_twist"] * p["equipment_aside"]}
     return Joint(mode_element(p, "equipment", _hung_kg(layout, p)), {"z_e": 1.0, **body})
 
 

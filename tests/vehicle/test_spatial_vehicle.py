@@ -46,6 +46,7 @@ def test_missing_columns_are_healthy_and_nominal():
             "equipment_ahead",
             "equipment_aside",
             "equipment_at_second",
+            "equipment_at_twist",
             "load_ahead",
             "load_aside",
         )
