@@ -77,7 +77,7 @@ def test_check_and_evaluate_agree_at_the_ends_of_bins(trip, tmp_path, speed, spr
     models = models_between(LOW, HIGH)
     result, checked, alone = read_and_checked(trip, tmp_path, models, speed, spread)
     inside = LOW <= speed <= HIGH
-    assert (result.status == OK) == inside
+    assert (result.status == OK) == inside, result.reason
     assert checked.state == (READY if inside else TOO_LITTLE)
     assert checked.read_by == "the models read 61.0 to 78.0 m/s"
     if inside:
