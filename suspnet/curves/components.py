@@ -188,9 +188,27 @@ class CurveFeatures:
         return {name: array.cpu().contiguous().numpy() for name, array in arrays.items()}
 
     def restored(self, arrays: Mapping[str, FloatArray]) -> CurveFeatures:
-        """Return the feature set with a stored basis; TypeError if an array is missing."""
+        """Return the feature set with a stored basis; ValueError if the arrays do not fit."""
+        magnitudes = "floor" in arrays
+        expected = {f.name for f in fields(CurveBasis)} - (set() if magnitudes else {"floor"})
+        if set(arrays) != expected:
+            raise ValueError(f"the basis must hold {sorted(expected)}, got {sorted(arrays)}")
         tensors = {name: torch.as_tensor(array) for name, array in arrays.items()}
-        if "floor" not in tensors:  # a basis with phases
+        n_freq, n = len(tensors["frequencies_hz"]), len(tensors["directions"])
+        n_columns = (2 if magnitudes else 4) * n_freq
+        shapes: dict[str, tuple[int, ...]] = {
+            "healthy": (2, n_freq) if magnitudes else (2, n_freq, 2),
+            "mean": (n_columns,),
+            "noise": (n_columns,),
+            "directions": (n, n_columns),
+            "explained": (n,),
+        }
+        if magnitudes:
+            shapes["floor"] = (2,)
+        for name, shape in shapes.items():
+            if tuple(tensors[name].shape) != shape:
+                raise ValueError(f"`{name}` must have shape {shape}, got {arrays[name].shape}")
+        if not magnitudes:
             tensors["healthy"] = torch.view_as_complex(tensors["healthy"])
         return replace(self, basis=CurveBasis(**tensors))
 

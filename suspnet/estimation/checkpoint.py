@@ -210,6 +210,7 @@ def load_model(folder: Path | str, device: str = "cpu") -> TrainedModel | BogieM
     try:
         with foreign_file(path):
             content = storage.read_json(path)
+            _refuse_regression(path, content)
             check_description(path, content, SCHEMA_VERSION)
             _check_known(path, content)
             arrays = storage.read_arrays(folder / "model.safetensors", content["arrays_sha256"])
@@ -244,8 +245,8 @@ def _checked(
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # only a forged model causes numerical warnings
         model = _build(content, dict(arrays), device)
+        check_model(model)
         built = _described(model)
-    check_model(model)
     # the device is that of the machine, not of the model
     for part in ("parameters", "generator"):
         if part in built:
@@ -260,6 +261,17 @@ def _checked(
 def parameters(estimator: Any) -> dict[str, Any]:
     """Return the constructor arguments of a method, except its callback."""
     return {k: v for k, v in estimator.get_params().items() if k != "callback"}
+
+
+def _refuse_regression(path: Path, content: Any) -> None:
+    """Raise ModelFileError for a regression that was trained on a commissioned vehicle."""
+    training = content.get("training") if isinstance(content, dict) else None
+    is_noted = isinstance(training, dict) and "commissioned" in training
+    if is_noted and content.get("model") != BOGIE:
+        raise ModelFileError(
+            f"{path} is a regression for the vehicle that healthy trips showed, which suspnet no "
+            "longer reads: commission again"
+        )
 
 
 def check_description(path: Path, content: Any, schema_version: int) -> None:

@@ -128,9 +128,18 @@ class OODDetector:
 
     @classmethod
     def restored(cls, arrays: Mapping[str, FloatArray]) -> Self:
-        """Return the detector from its `state`; KeyError if an array is missing."""
-        distance_threshold, misfit_threshold = map(float, arrays["thresholds"])
-        return cls(arrays["reference"], distance_threshold, misfit_threshold)
+        """Return the detector from its `state`; KeyError or ValueError if it is invalid."""
+        reference, thresholds = arrays["reference"], arrays["thresholds"]
+        if thresholds.shape != (2,) or np.isnan(thresholds).any():
+            raise ValueError("`thresholds` must be two numbers")
+        unused = np.isinf(thresholds[0])
+        if (
+            reference.ndim != 2
+            or not (len(reference) or unused)
+            or not np.isfinite(reference).all()
+        ):
+            raise ValueError("`reference` must be a table of finite numbers")
+        return cls(reference, float(thresholds[0]), float(thresholds[1]))
 
 
 def _outside(task: Task, name: str, refined: Refined) -> BoolArray:

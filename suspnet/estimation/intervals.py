@@ -50,8 +50,13 @@ class Conformal:
     def of(cls, residuals: FloatArray, scales: FloatArray) -> Self:
         """Return the scores of residuals and residual scales, each (n_calibration, n_outputs).
 
-        Raises ValueError if a value is not finite or a scale is not positive.
+        Raises ValueError if there is no sample, a value is not finite or a scale is not positive.
         """
+        if residuals.ndim != 2 or residuals.shape != scales.shape or not len(residuals):
+            raise ValueError(
+                "residuals and scales must be of one shape (n_calibration, n_outputs), got "
+                f"{residuals.shape} and {scales.shape}"
+            )
         if not (np.isfinite(residuals).all() and np.isfinite(scales).all()):
             raise ValueError("residuals and scales must be finite")
         if not (scales > 0).all():
@@ -156,15 +161,26 @@ class Intervals:
 
     @classmethod
     def restored(cls, arrays: Mapping[str, FloatArray]) -> Self:
-        """Return the intervals from their `state`; KeyError or ValueError if one is missing."""
+        """Return the intervals from their `state`; KeyError or ValueError if it is invalid."""
+        scores, log = arrays["scores"], arrays["log"]
+        if scores.ndim != 2 or not len(scores) or not (np.isfinite(scores) & (scores >= 0)).all():
+            raise ValueError("`scores` must be a table of numbers >= 0")
+        if log.shape != (1,):
+            raise ValueError(f"`log` must be one number, got shape {log.shape}")
         learnt = {
             key.removeprefix(SCALE): value for key, value in arrays.items() if key.startswith(SCALE)
         }
         residual_scale = None
         if learnt:
+            regression = _learner(1).restore(learnt)
             scaling = Scaling(arrays["size_mean"], arrays["size_scale"])
-            residual_scale = ResidualScale(_learner(1).restore(learnt), scaling)
-        return cls(Conformal(arrays["scores"]), bool(arrays["log"][0]), residual_scale)
+            shapes = {a.shape for a in (scaling.mean, scaling.scale, regression.intercept_)}
+            if shapes != {(scores.shape[1],)}:
+                raise ValueError(
+                    f"`scores` has {scores.shape[1]} outputs, the residual scale {shapes}"
+                )
+            residual_scale = ResidualScale(regression, scaling)
+        return cls(Conformal(scores), bool(log[0]), residual_scale)
 
 
 def residuals(estimates: FloatArray, truth: FloatArray, log: bool) -> FloatArray:

@@ -116,12 +116,15 @@ class SVR(Regressor):
         return arrays | {"intercept": intercept}
 
     def restore(self, state: Mapping[str, FloatArray]) -> Self:
-        """Load the arrays of `state`; ValueError if one is missing."""
+        """Load the arrays of `state`; ValueError if they are missing or inconsistent."""
         with arrays_of("an SVR"):
             self.intercept_ = self._restored(state["intercept"])
             outputs = range(len(self.intercept_))
             self.support_vectors_ = [state[f"support_vectors.{j}"] for j in outputs]
             self.dual_coef_ = [state[f"dual_coef.{j}"] for j in outputs]
+        pairs = zip(self.support_vectors_, self.dual_coef_, strict=True)
+        if any(len(vectors) != len(dual) for vectors, dual in pairs):
+            raise ValueError("support vectors and dual coefficients differ in number")
         self.n_features_in_ = self.support_vectors_[0].shape[1]
         return self
 
@@ -185,10 +188,14 @@ class KernelRidge(Regressor):
         return {"dual_coef": self.dual_coef_, "X_fit": self.X_fit_, "intercept": intercept}
 
     def restore(self, state: Mapping[str, FloatArray]) -> Self:
-        """Load the arrays of `state`; ValueError if one is missing."""
+        """Load the arrays of `state`; ValueError if they are missing or inconsistent."""
         with arrays_of("a ridge"):
             self.dual_coef_, self.X_fit_ = state["dual_coef"], state["X_fit"]
             self.intercept_ = self._restored(state["intercept"])
+        if self.dual_coef_.shape != (len(self.X_fit_), len(self.intercept_)):
+            raise ValueError(
+                f"dual_coef has shape {self.dual_coef_.shape}, X_fit {self.X_fit_.shape}"
+            )
         self.n_features_in_ = self.X_fit_.shape[1]
         return self
 
@@ -214,9 +221,13 @@ class LinearRegression(MethodFlags, linear_model.LinearRegression):  # type: ign
         return {"coef": self.coef_, "intercept": np.asarray(self.intercept_)}
 
     def restore(self, state: Mapping[str, FloatArray]) -> Self:
-        """Load the arrays of `state`; ValueError if one is missing."""
+        """Load the arrays of `state`; ValueError if they are missing or inconsistent."""
         with arrays_of("a linear"):
             self.coef_, self.intercept_ = state["coef"], state["intercept"]
+        if not self.coef_.ndim or self.coef_.shape[:-1] != self.intercept_.shape:
+            raise ValueError(
+                f"coef has shape {self.coef_.shape}, intercept {self.intercept_.shape}"
+            )
         self.n_features_in_ = self.coef_.shape[-1]
         return self
 

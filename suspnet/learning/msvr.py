@@ -202,7 +202,7 @@ class MSVR(Regressor):
         return {"coef": self.coef_, "intercept": intercept, **arrays}
 
     def restore(self, state: Mapping[str, FloatArray]) -> Self:
-        """Load the arrays of `state`; ValueError if one is missing."""
+        """Load the arrays of `state`; ValueError if they are missing or inconsistent."""
         self.check_parameters()
         names = [name.removeprefix("map.") for name in state if name.startswith("map.")]
         map_type = MAPS[self.feature_map].holds
@@ -211,6 +211,10 @@ class MSVR(Regressor):
             self.coef_, self.intercept_ = state["coef"], self._restored(state["intercept"])
             self._map = map_type(**tensors)
         self.n_features_in_ = self._map.n_inputs
+        none = torch.zeros(1, self.n_features_in_, dtype=torch.float64, device=self.device)
+        n_features = self._map(none).shape[1]
+        if self.coef_.shape != (n_features, len(self.intercept_)):
+            raise ValueError(f"coef has shape {self.coef_.shape}, the map {n_features} features")
         return self
 
     def _width(self, samples: Tensor) -> float:

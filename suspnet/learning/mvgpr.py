@@ -175,11 +175,14 @@ class MVGPR(Regressor):
         }
 
     def restore(self, state: Mapping[str, FloatArray]) -> Self:
-        """Load the arrays of `state`; ValueError if one is missing."""
+        """Load the arrays of `state`; ValueError if they are missing or inconsistent."""
         with arrays_of("an MVGPR"):
             self._samples = torch.tensor(state["samples"], device=self.device)
             self.weights_, self.mean_ = state["weights"], self._restored(state["mean"])
             self.omega_, kernel = state["omega"], state["kernel"]
+        n_outputs = len(self.mean_)
+        if self.weights_.shape != (len(self._samples), n_outputs) or kernel.shape != (3,):
+            raise ValueError(f"weights have shape {self.weights_.shape}, mean {self.mean_.shape}")
         self.length_scale_, self.signal_variance_, self.noise_variance_ = map(float, kernel)
         self.n_features_in_ = self._samples.shape[1]
         self._kept_factor: Tensor | None = None

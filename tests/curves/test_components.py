@@ -288,17 +288,33 @@ def test_band_without_bins_is_rejected():
         fitted(n_components=1).extract(CLEAN[..., :0], FREQUENCIES[:0])
 
 
+@pytest.mark.parametrize(
+    ("name", "shape"),
+    [
+        ("healthy", (2, 84)),
+        ("mean", (4 * 84 + 1,)),
+        ("noise", (84,)),
+        ("directions", (3, 84)),
+        ("explained", (4,)),
+    ],
+)
+def test_arrays_that_do_not_fit_are_rejected(name, shape):
+    arrays = fitted(n_components=3).state() | {name: np.zeros(shape)}
+    with pytest.raises(ValueError, match=rf"`{name}` must have shape"):
+        CurveFeatures().restored(arrays)
+
+
 def test_magnitudes_are_no_curves_with_phases():
     with pytest.raises(ValueError, match="learnt with phases, these curves are magnitudes"):
         fitted(n_components=2).extract(MAGNITUDES, FREQUENCIES)
     arrays = fitted_to_magnitudes(n_components=2).state()
-    with pytest.raises(RuntimeError, match="must have a last dimension of size 2"):
+    with pytest.raises(ValueError, match="`healthy` must have shape"):
         CurveFeatures().restored({k: v for k, v in arrays.items() if k != "floor"})
 
 
 def test_missing_and_unknown_arrays_are_rejected():
     arrays = fitted(n_components=3).state()
-    with pytest.raises(TypeError, match="missing 1 required positional argument: 'noise'"):
+    with pytest.raises(ValueError, match=r"the basis must hold .*'noise'"):
         CurveFeatures().restored({k: v for k, v in arrays.items() if k != "noise"})
-    with pytest.raises(TypeError, match="unexpected keyword argument 'extra'"):
+    with pytest.raises(ValueError, match=r"the basis must hold .* got .*'extra'"):
         CurveFeatures().restored(arrays | {"extra": np.zeros(3)})

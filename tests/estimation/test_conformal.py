@@ -176,6 +176,14 @@ def test_values_without_a_score_are_rejected(residual, scale, message):
         Conformal.of(residuals, scales)
 
 
+@pytest.mark.parametrize(
+    ("first", "second"), [((4, 2), (4, 1)), ((4, 2), (3, 2)), ((4,), (4,)), ((0, 2), (0, 2))]
+)
+def test_shapes_that_do_not_fit_are_rejected(first, second):
+    with pytest.raises(ValueError, match=r"one shape \(n_calibration, n_outputs\), got \("):
+        Conformal.of(np.ones(first), np.ones(second))
+
+
 @pytest.mark.parametrize("level", [0.0, 1.0, -0.1, 90.0, math.nan])
 def test_level_out_of_range_is_rejected(level):
     conformal = Conformal(np.ones((20, 2)))

@@ -199,3 +199,24 @@ def test_missing_arrays_are_named(intervals, name):
     del arrays[name]
     with pytest.raises((KeyError, ValueError), match=name.removeprefix("residual_scale.")):
         Intervals.restored(arrays)
+
+
+@pytest.mark.parametrize(
+    ("name", "array", "message"),
+    [
+        ("scores", np.ones(4), "`scores` must be a table"),
+        ("scores", np.ones((0, 2)), "`scores` must be a table"),
+        ("scores", np.array([[1.0, -1.0]]), "`scores` must be a table"),
+        ("scores", np.array([[1.0, math.nan]]), "`scores` must be a table"),
+        ("scores", np.array([[1.0, math.inf]]), "`scores` must be a table"),
+        ("scores", np.ones((4, 3)), "has 3 outputs, the residual scale"),
+        ("log", np.ones(0), "`log` must be one number"),
+        ("size_mean", np.ones(3), "has 2 outputs, the residual scale"),
+        ("size_scale", np.ones((2, 1)), "has 2 outputs, the residual scale"),
+        ("residual_scale.coef", np.ones((4, 2)), r"coef has shape \(4, 2\)"),
+        ("residual_scale.intercept", np.ones(3), "coef has shape"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_rejected(intervals, name, array, message):
+    with pytest.raises(ValueError, match=message):
+        Intervals.restored(intervals.state() | {name: array})

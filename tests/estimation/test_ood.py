@@ -262,3 +262,18 @@ def test_missing_array_is_named(detector, name):
     del arrays[name]
     with pytest.raises(KeyError, match=name):
         OODDetector.restored(arrays)
+
+
+@pytest.mark.parametrize(
+    ("name", "array", "message"),
+    [
+        ("reference", np.ones(4), "`reference` must be a table of finite numbers"),
+        ("reference", np.ones((0, 9)), "`reference` must be a table of finite numbers"),
+        ("reference", np.array([[1.0, math.nan]]), "`reference` must be a table of finite"),
+        ("thresholds", np.ones(3), "`thresholds` must be two numbers"),
+        ("thresholds", np.array([1.0, math.nan]), "`thresholds` must be two numbers"),
+    ],
+)
+def test_arrays_that_are_no_scope_are_rejected(detector, name, array, message):
+    with pytest.raises(ValueError, match=message):
+        OODDetector.restored(detector.state() | {name: array})

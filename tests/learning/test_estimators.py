@@ -151,7 +151,7 @@ def test_prediction_in_chunks_is_the_whole(estimator, monkeypatch):
 
 
 @pytest.mark.parametrize("estimator", by_name([*ESTIMATORS, MAPPED[1]]))
-def test_state_without_an_array_is_refused(estimator):
+def test_state_that_does_not_fit_is_refused(estimator):
     with pytest.raises(NotFittedError, match="not fitted yet"):
         clone(estimator).state()
     X, Y = smooth_data(4, n_samples=20)
@@ -160,6 +160,10 @@ def test_state_without_an_array_is_refused(estimator):
         others = {name: array for name, array in state.items() if name != missing}
         with pytest.raises(ValueError, match="the arrays are not those of"):
             clone(estimator).restore(others)
+    # one row less of an array that others must agree with
+    name = next(name for name in ("weights", "dual_coef.1", "dual_coef", "coef") if name in state)
+    with pytest.raises(ValueError, match=r"shape|differ in number"):
+        clone(estimator).restore(state | {name: state[name][:-1]})
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])

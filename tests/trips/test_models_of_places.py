@@ -7,6 +7,7 @@ from trip_fixtures import changed, model_at
 
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.trip_settings import TripSettings
+from suspnet.estimation.validity import check_model
 from suspnet.ground.records import Place
 from suspnet.trains.jobs.fleet import FleetSettings, evaluate_fleet
 from suspnet.trains.trips.commissionings import NAMED, models_of, place_of
@@ -63,6 +64,18 @@ def test_place_without_a_model_is_told_with_those_that_have_one():
 def test_models_of_one_place_must_still_fit_together():
     with pytest.raises(ModelFileError, match="two models are for the same speed"):
         models_of([commissioned(THERE), commissioned(HERE), commissioned(HERE)], HERE)
+
+
+@pytest.mark.parametrize(
+    "place",
+    ["train 1", {"suspension": "S1"}, asdict(HERE) | {"side": 1}, asdict(HERE) | {"more": ""}],
+)
+def test_forged_place_is_refused(place):
+    model = commissioned(HERE)
+    check_model(model)
+    model.training["commissioned"]["place"] = place
+    with pytest.raises(TypeError, match=r"training\.commissioned\.place"):
+        check_model(model)
 
 
 def test_fleet_is_read_with_the_model_of_each_suspension(manifests, no_figures, tmp_path, caplog):
