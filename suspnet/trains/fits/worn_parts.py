@@ -170,12 +170,9 @@ def false_verdicts(bogie: CommissionedBogie, level: float = 0.9, seed: int = 0) 
     scatter = _scatter_of_parts(bogie)
     noise, beyond = np.array(scatter.noise), scatter.covariance
     rng, free = np.random.default_rng(seed), scatter.n_trips - 1
-    size = N_HEALTHY, len(noise)
-    spread = np.sqrt(free / rng.chisquare(free, N_HEALTHY))[:, None]
-    logs = rng.standard_normal(size) @ np.linalg.cholesky(noise).T
-    values, vectors = np.linalg.eigh(beyond)
-    roots = vectors * np.sqrt(np.maximum(values, 0.0))
-    logs += spread * (rng.standard_normal(size) @ roots.T)
+    zeros, spread = np.zeros(len(noise)), np.sqrt(free / rng.chisquare(free, N_HEALTHY))
+    logs = rng.multivariate_normal(zeros, noise, N_HEALTHY, method="eigh")
+    logs += spread[:, None] * rng.multivariate_normal(zeros, beyond, N_HEALTHY, method="eigh")
     covariance = scatter.student(level) ** 2 * (noise + beyond) + _usual()
     healthy = _log_probability(logs, covariance, [])
     accused = np.zeros(N_HEALTHY, dtype=bool)

@@ -56,10 +56,10 @@ def write_outcome(folder: Path, healthy: HealthyTrips, outcome: Commissioned) ->
         figures["errors"] = errors(outcome.bogie, frequencies_hz)
     for name, figure in figures.items():
         write_atomically(folder / "figures" / f"{NAME}_{name}.png", as_png(figure))
-    write_json(folder / f"{NAME}.json", as_json(healthy, outcome))
-    path = write_page(
-        folder / f"{NAME}.html", "commissioning.html", **_page_values(healthy, outcome, figures)
-    )
+    numbers = as_json(healthy, outcome)
+    write_json(folder / f"{NAME}.json", numbers)
+    values = _page_values(healthy, outcome, figures) | {"reach": numbers["reach"]}
+    path = write_page(folder / f"{NAME}.html", "commissioning.html", **values)
     log.info("-> %s", path)
 
 
@@ -136,7 +136,6 @@ def _page_values(
         "verdict": words.of_parts(bogie),
         "doubts": doubts,
         "agreement": "" if doubts else words.errors_of_parts(bogie, healthy),
-        "reach": words.reach_of_parts(bogie),
         "reference": words.reference(outcome),
         "figures": [
             {
