@@ -1,7 +1,7 @@
 """Records of a base-excited chain of two masses, integrated in time by scipy alone."""
 
 import numpy as np
-from scipy.signal import butter, lsim, sosfilt
+from scipy.signal import butter, cont2discrete, lfilter, sosfilt
 
 OVERSAMPLING = 8
 """Steps of the integration in one of the record: its error at the highest mode is below 1e-3."""
@@ -27,6 +27,18 @@ def chain(k_p, c_p, k_s, c_s, m_s, hung=None):
     b = np.concatenate([np.zeros(n), -np.ones(n)])[:, None]
     c = np.vstack([np.zeros((1, 2 * n)), forces[:2]])
     return a, b, c, np.array([[1.0], [0.0], [0.0]])
+
+
+def moved_by(system, base, step_s):
+    """Return accelerations (3, n) of a chain that was at rest one step before `base` starts.
+
+    They are those of `scipy.signal.lsim`, many times faster: each mode is a filter of first order.
+    """
+    a, b, c, d, _ = cont2discrete(system, step_s, "foh")
+    poles, modes = np.linalg.eig(a)
+    pairs = zip(np.linalg.solve(modes, b.astype(complex))[:, 0], poles, strict=True)
+    motion = [lfilter([0, force], [1, -pole], base) for force, pole in pairs]
+    return (c @ modes @ motion).real + d * base
 
 
 def _assembled(links, n):
@@ -56,8 +68,8 @@ def record(numbers, rate_hz, seconds, seed, *, noise=0.003, base=None, start=Tru
     if base is None:
         low_pass = butter(8, 0.45 * rate_hz, fs=OVERSAMPLING * rate_hz, output="sos")
         base = sosfilt(low_pass, rng.standard_normal(fine)) * np.sqrt(OVERSAMPLING)
-    times = np.arange(len(base)) / (OVERSAMPLING * rate_hz)
-    signals = lsim(chain(*numbers, hung), base, times)[1].T[:, ::OVERSAMPLING][:, before:]
+    moved = moved_by(chain(*numbers, hung), base, 1 / (OVERSAMPLING * rate_hz))
+    signals = moved[:, ::OVERSAMPLING][:, before:]
     return signals + noise * signals[0].std() * rng.standard_normal(signals.shape)
 
 
