@@ -3,7 +3,7 @@
 import math
 from bisect import bisect_left
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 import torch
@@ -92,7 +92,7 @@ class Welch:
 
         rho is the `correlation`; Hann: 1.94.
         """
-        rho = self.correlation()
+        rho = _correlation(self.window)
         return float(2 * rho.sum() - rho[0])
 
     def correlation(self) -> Tensor:
@@ -100,9 +100,15 @@ class Welch:
 
         abs(sum_t w^2 exp(-2 pi j k t / T) / sum_t w^2)^2; Hann: 1, 4/9, 1/36.
         """
-        transform = np.fft.fft(get_window(self.window, 256) ** 2)
-        rho = np.abs(transform[:128] / transform[0]) ** 2
-        return torch.as_tensor(rho[: np.flatnonzero(rho > NEGLIGIBLE)[-1] + 1])
+        return torch.tensor(_correlation(self.window))
+
+
+@cache  # searches ask for it at each step
+def _correlation(window: str) -> FloatArray:
+    """Return what ``Welch.correlation`` does."""
+    transform = np.fft.fft(get_window(window, 256) ** 2)
+    rho = np.abs(transform[:128] / transform[0]) ** 2
+    return np.asarray(rho[: np.flatnonzero(rho > NEGLIGIBLE)[-1] + 1])
 
 
 def _symmetric(power: FloatArray) -> Tensor:
