@@ -10,6 +10,7 @@ import pytest
 from cli_runner import typed as typed_in
 from rig_records import numbers, record
 
+pytestmark = pytest.mark.usefixtures("records_fitted_once")
 TRUE = numbers(20.0, 25.0, 0.8, 0.01, 0.02)
 WORN = np.array([0.7, 1.0, 1.0, 1.0, 1.0])
 FILE = "kind: rig\nname: bench\nprimary_hz: 26\nsecondary_hz: 18\nbogie_mass_kg: 2\n"
