@@ -1,11 +1,10 @@
 """What healthy=DIR says of itself: experiment, vehicle, and how many trips are healthy."""
 
-import subprocess
-import sys
-
 import pytest
 import yaml
+from cli_runner import typed
 
+from suspnet.cli import train
 from suspnet.cli.loader import of_healthy
 from suspnet.estimation.trip_settings import N_HEALTHY
 
@@ -60,8 +59,8 @@ def test_the_command_takes_them(tmp_path, name):
     folder = tmp_path / name
     folder.mkdir()
     write(folder, "ice3")
-    command = [sys.executable, "-m", "suspnet", "train", f"healthy={folder}", "--cfg", "job"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    done = typed(train, f"healthy={folder}", "--cfg", "job", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
     config = yaml.safe_load(done.stdout)
     assert (config["protocol"]["name"], config["vehicle"]["name"]) == ("trips", "ice3")
     assert (config["n_healthy"], config["job"]) == (N_HEALTHY, "trips")
