@@ -72,6 +72,19 @@ def _one_thread():
 
 
 @pytest.fixture(scope="session", autouse=True)
+def _libraries_looked_for_once(_one_thread):
+    """Look once for the libraries whose threads are limited: each trip and each fit asks for it."""
+    from threadpoolctl import ThreadpoolController
+
+    from suspnet.ground import tensors
+
+    found = ThreadpoolController()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tensors, "threadpool_limits", lambda number: found.limit(limits=number))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def _memory_kept():
     """Keep freed memory in the process: to get it from the kernel again takes a twentieth."""
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # of the GNU C library
