@@ -46,7 +46,7 @@ def models_between(low, high):
 
 
 def run_at(trip, folder, speed, spread):
-    """Write a copy of a trip that runs at another speed, a little faster and slower in turn."""
+    """Write a copy of a trip that runs about a speed, a little faster and slower in turn."""
     seconds = np.arange(301.0)
     along = speed * (1 + spread * np.sin(2 * np.pi * seconds / 100))
     name = f"trip_{speed:.3f}_{spread}".replace(".", "_")
@@ -73,8 +73,8 @@ def read_and_checked(trip, folder, models, speed, spread):
         ),
     ],
 )
-def test_check_and_evaluate_agree_at_the_ends_of_bins(trip, tmp_path, speed, spread):
-    models = models_between(LOW, HIGH)
+def test_check_and_evaluate_agree_at_the_ends_of_bins(tmp_path, speed, spread):
+    trip, models = write_trips(tmp_path, speed=speed)[0], models_between(LOW, HIGH)
     result, checked, alone = read_and_checked(trip, tmp_path, models, speed, spread)
     inside = LOW <= speed <= HIGH
     assert (result.status == OK) == inside, result.reason
