@@ -261,7 +261,7 @@ def test_colour_and_label_are_those_of_the_severity(tmp_path, k_s, tone):
     assert bool(shown) == bool(label)
     assert ("the last 2 trips are above" in page.text) == bool(label)
     assert ("Nothing stands out" in page.text) == (tone == "good")
-    assert ("falls by 1.0 % " in page.text) == (tone == "plain")
+    assert ("fell by 1 % at about 65 000" in page.text) == (tone == "plain")
 
 
 def with_faults(result, faults, **changes):
