@@ -19,7 +19,6 @@ from suspnet.cli.kinds import build
 from suspnet.cli.program import CONFIGS
 from suspnet.estimation.checkpoint import save_model
 from suspnet.ground.parameters import Severity
-from suspnet.runs.tensorboard import RunLog
 from suspnet.trains.jobs import fleet
 from suspnet.trains.pages import output
 from suspnet.trains.recordings import formats
@@ -62,9 +61,10 @@ def trips(tmp_path_factory):
 
 @contextmanager
 def undrawn():
-    """Draw nothing: that takes longest, and one run that draws is enough."""
+    """Draw no figures and write no report, which takes longest; those of `evaluated` are."""
+    write = output.write_pages
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(RunLog, "figure", lambda *_: None)
+        patch.setattr(fleet, "write_pages", lambda *to, draw: write(*to, draw=False))
         patch.setattr(output, "write_report", lambda *_: None)
         yield
 
