@@ -62,7 +62,7 @@ def test_the_error_of_draws_is_that_of_the_covariance():
     of, rng = bogie(), np.random.default_rng(2)
     total = np.array(of.scatter.noise) + of.scatter.covariance
     root, n, errors = np.linalg.cholesky(total), 4, []
-    for _ in range(4000):
+    for _ in range(2000):
         trips = rng.standard_normal((n + 6, 12)) @ root.T
         # relative to the healthy ones, with the covariance of one trip
         logs = np.sqrt(6 / 7) * (trips[:n] - trips[n:].mean(axis=0))
