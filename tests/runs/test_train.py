@@ -100,5 +100,6 @@ def test_a_folder_with_files_of_others_is_left_as_it_is(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["metrics.json"]
     # an earlier run of ours is replaced
     for model in ("linear", "svr"):
-        trained(model, "multi_location", "primary", tmp_path / "run", *SMALL)
+        quick = *SMALL, "data.n_calibrate=null"
+        trained(model, "multi_location", "primary", tmp_path / "run", *quick)
     assert type(load_model(tmp_path / "run").estimator).__name__ == "SVR"
