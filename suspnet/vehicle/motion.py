@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from suspnet.ground.types import ComplexArray, FloatArray
 
 LARGEST_CONDITION = 1e10
 """Condition number of the eigenvectors above which two modes coincide."""
-SERIES_BELOW = 0.1
-"""Where |lambda h| is below this, `foh_weights` sums a power series to avoid cancellation."""
 BLOCK = 1 << 14
 """Number of samples per block, for which all modes stay in the CPU cache."""
 
@@ -175,20 +174,12 @@ class SampledMotion:
 
 
 def foh_weights(eigenvalues: ComplexArray, step_s: float) -> tuple[ComplexArray, ComplexArray]:
-    """Return the weights of the input before and after a step: h (phi_1 - phi_2), h phi_2."""
-    z = eigenvalues * step_s
-    small = np.abs(z) < SERIES_BELOW
-    safe = np.where(small, 1.0, z)
-    phi_1: ComplexArray = np.where(small, _series(z, 1), np.expm1(safe) / safe)
-    phi_2: ComplexArray = np.where(small, _series(z, 2), (np.expm1(safe) - safe) / safe**2)
+    """Return the weights of the input before and after a step: h (phi_1 - phi_2), h phi_2.
+
+    The first row of exp([[z, 1, 0], [0, 0, 1], [0, 0, 0]]) is exp(z), phi_1 and phi_2 (Van Loan,
+    Computing integrals involving the matrix exponential, 1978), without cancellation at small z.
+    """
+    blocks = np.zeros((len(eigenvalues), 3, 3), dtype=np.complex128)
+    blocks[:, 0, 0], blocks[:, 0, 1], blocks[:, 1, 2] = eigenvalues * step_s, 1.0, 1.0
+    _, phi_1, phi_2 = expm(blocks)[:, 0].T
     return step_s * (phi_1 - phi_2), step_s * phi_2
-
-
-def _series(z: ComplexArray, order: int) -> ComplexArray:
-    """Return sum over k of z^k / (k + order)!, to rounding for |z| < SERIES_BELOW."""
-    total = np.zeros_like(z)
-    term = np.full_like(z, 1.0 if order == 1 else 0.5)
-    for k in range(12):
-        total += term
-        term = term * z / (k + order + 1)
-    return total
