@@ -177,20 +177,27 @@ def healthy_trips_read_once():
         yield
 
 
-LOOKED_FOR = ("test_sensor_places", "test_first_minutes", "test_check_agrees")
-"""Modules whose tests look for sensors that are not in their place."""
+@pytest.fixture(scope="session", autouse=True)
+def _sensors_looked_for_once():
+    """Look for the sensors of the same spectra once in a process: it takes half of a check.
 
-
-@pytest.fixture(scope="module", autouse=True)
-def _sensors_in_their_place(request):
-    """Take sensors as in their place where no test is about it: to look takes half of a check."""
+    tests/identification/test_sensor_places.py looks for those that are not in their place.
+    """
     from suspnet.trains.identification import healthy_trips
     from suspnet.trains.trips import sensor_checks
 
+    look, known = healthy_trips.elsewhere, {}
+
+    def looked(generator, settings, trip, direction):
+        numbers = trip.spectra.cross.numpy().tobytes(), trip.spectra.n_averages
+        key = repr((generator, settings, trip.speeds, trip.left_out, direction)), numbers
+        if key not in known:
+            known[key] = look(generator, settings, trip, direction)
+        return known[key]
+
     with pytest.MonkeyPatch.context() as patch:
-        if request.path.stem not in LOOKED_FOR:
-            for module in (healthy_trips, sensor_checks):
-                patch.setattr(module, "elsewhere", lambda *_: None)
+        for module in (healthy_trips, sensor_checks):
+            patch.setattr(module, "elsewhere", looked)
         yield
 
 
