@@ -1,10 +1,11 @@
 """How well the parts of rough trains are read, which have what suspnet's family lacks.
 
 python benchmarks/rough_train.py [--sets "flexible modes" ballast all] [--seeds 0] [--minutes 20]
-    [--later-minutes 5] [--together 3] [--speeds 48 78] [--both-ways]
+    [--later-minutes 5] [--together 3] [--speeds 48 78] [--both-ways] [--sensors seven]
 
 Each set is one of SETS of tests/rich_train.py. A bogie is commissioned on healthy trips of payloads
 0.95 to 1.18; then each of its twelve parts wears on a trip of its own, and healthy trips follow.
+Three sensors read all parts of a kind as one: all of a kind wear, and no part is named.
 Writes a row of each trip to rough_train.csv, in place of those of the same set and seed, and prints
 a line for each set: misfit, rms errors, half widths and coverage by kind of part, coverage of all
 parts with its binomial interval, verdicts of single trips and of --together trips of one fault.
@@ -22,6 +23,7 @@ from cells import Parser, at_least, write_rows
 from foreign_trains import TESTS
 from named_parts import Z90
 from rich_effects import SETS
+from rich_structure import SENSORS, SEVEN
 from rich_train import RichTrain
 from rich_train_trips import write_train_trips
 from scipy.stats import binomtest
@@ -29,10 +31,10 @@ from tabulate import tabulate
 from vehicles import AM96
 
 import suspnet
-from suspnet.ground.parameters import COMPONENTS
+from suspnet.ground.parameters import COMPONENTS, kind_of
 from suspnet.trains.fits.bogie_fit import FURTHER_PARTS, fit_parts
 from suspnet.trains.fits.joint_estimate import joint_estimate
-from suspnet.trains.identification.bogie_trips import PARTS_OF_BOGIE
+from suspnet.trains.identification.bogie_trips import EQUAL_PARTS, PARTS_OF_BOGIE
 from suspnet.trains.simulation import Fleet
 
 RESULTS = TESTS.parent / "benchmarks" / "results"
@@ -42,6 +44,14 @@ KINDS = ("k_p", "c_p", "k_s", "c_s")
 RATE_HZ = 500.0
 """At 250 Hz, tracks that are straight between samples shake contacts of 200 Hz: c_p errs by 8 %."""
 SPEED_M_PER_S = 70.0
+LAYOUTS = {"six": SENSORS, "seven": SEVEN, "three on the left": SENSORS[::2]}
+PLACES = {
+    "axle_box": "axle_box_axle1",
+    "axle_box2": "axle_box_axle2",
+    "bogie": "frame_axle1",
+    "body": "body",
+}
+"""Names of the package for the rich train's places."""
 LATER_SEEDS = 1000
 """Between the seed of a train and that of its later trips, where these have another length."""
 
@@ -59,20 +69,31 @@ def drawn_ratios(options, seed):
     levels = np.resize(rng.permutation(LEVELS), n_drawn)
     for i, number in enumerate(np.linspace(0, n_drawn - 1, n_faults).round().astype(int)):
         first = options.healthy + options.together * i
-        ratios[first : first + options.together, number % n_parts] = levels[number]
+        worn = [number % n_parts]
+        if options.sensors.startswith("three"):
+            kind = KINDS[i % len(KINDS)]
+            worn = [j for j, name in enumerate(COMPONENTS) if kind_of(name) == kind]
+        ratios[first : first + options.together, worn] = levels[number]
     return ratios
 
 
-VEHICLE = suspnet.SpatialVehicle(AM96, parts=PARTS_OF_BOGIE, distribution="prior")
+def vehicle(options):
+    """Return the vehicle before its trips, with the sensors of the layout."""
+    places = [sensor.split() for sensor in LAYOUTS[options.sensors]]
+    return suspnet.SpatialVehicle(
+        AM96,
+        parts=EQUAL_PARTS if options.sensors.startswith("three") else PARTS_OF_BOGIE,
+        sensors=tuple(f"{PLACES[name]}_{side}" for name, side in places),
+        distribution="prior",
+    )
 
 
 def simulated(name, seed, options, folder):
     """Return the ratios of one train's trips, their temperatures [°C] and the trips."""
     ratios, manifests = written(name, seed, options, folder)
-    celsius = [manifest.temperature_c for manifest in manifests]
+    celsius, of = [manifest.temperature_c for manifest in manifests], vehicle(options)
     trips = [
-        suspnet.bogie_trip(suspnet.load_recording(manifest, 100.0), VEHICLE)
-        for manifest in manifests
+        suspnet.bogie_trip(suspnet.load_recording(manifest, 100.0), of) for manifest in manifests
     ]
     return ratios, celsius, trips
 
@@ -81,7 +102,7 @@ def written(name, seed, options, folder):
     """Return the ratios of one train's trips and their manifests, written to a folder."""
     ratios = drawn_ratios(options, seed)
     speeds = np.random.default_rng([seed, 31]).uniform(*options.speeds, len(ratios))
-    train = RichTrain.scattered(seed, SETS[name])
+    train = RichTrain.scattered(seed, SETS[name], sensors=LAYOUTS[options.sensors])
 
     def write(some, minutes, own_seed):
         way = "both" if options.both_ways else "forward"
@@ -105,7 +126,7 @@ def read(name, seed, options, ratios, celsius, trips):
     begun = time.process_time()
     healthy, temperatures_c = trips[: options.healthy], celsius[: options.healthy]
     commissioned = suspnet.commission_bogie(
-        VEHICLE, healthy, temperatures_c, further_parts=FURTHER_PARTS
+        vehicle(options), healthy, temperatures_c, further_parts=FURTHER_PARTS
     )
     took = time.process_time() - begun
     print(f"{name}, {seed}: {took:.0f} s, misfit {commissioned.misfit:.2f}", flush=True)
@@ -141,17 +162,25 @@ def joint_verdict(commissioned, readings, truth):
 
 def row_of(found, truth):
     """Return what was read of one trip."""
+    names, shows_parts = list(found.names), found.names == COMPONENTS
+    true = dict(zip(COMPONENTS, truth, strict=True))
+    if not shows_parts:  # all of a kind are alike
+        true |= {name: true[next(c for c in COMPONENTS if c.startswith(name))] for name in names}
+    truth = np.array([true[name] for name in names])
     errors = np.log(found.values) - np.log(truth)
-    worn, accused = worn_names(truth), [one.names for one in suspnet.worn_parts(found)]
+    worn = [name for name in names[:-1] if true[name] != 1]
     row = {"part": worn[0] if worn else "healthy", "misfit": f"{found.misfit:.3f}"}
     if worn:
-        place = COMPONENTS.index(worn[0])
+        place = names.index(worn[0])
         row |= {"percent": 100 * truth[place], "read_percent": f"{100 * found.values[place]:.2f}"}
     else:
         row |= {"percent": 100.0, "read_percent": ""}
-    row |= {"accused": " ".join(map("+".join, accused)), "verdict": verdict(worn, accused)}
+    row |= {"accused": "", "verdict": ""}
+    if shows_parts:
+        accused = [one.names for one in suspnet.worn_parts(found)]
+        row |= {"accused": " ".join(map("+".join, accused)), "verdict": verdict(worn, accused)}
     for kind in (*KINDS, "M_s"):
-        of = np.array([name.startswith(kind) for name in COMPONENTS])
+        of = np.array([name.startswith(kind) for name in names])
         held = np.abs(errors[of]) < Z90 * found.deviations[of]
         row[f"rms_{kind}_percent"] = f"{100 * np.sqrt(np.mean(errors[of] ** 2)):.3f}"
         row[f"held_{kind}_percent"] = f"{100 * held.mean():.0f}"
@@ -179,6 +208,7 @@ def label(name, options):
     further += ["both ways"] if options.both_ways else []
     further += [f"{options.later_minutes:g} minutes"] if options.later_minutes else []
     further += [f"{options.together} trips each"] if options.together > 1 else []
+    further += [f"sensors: {options.sensors}"] if options.sensors != "six" else []
     return ", ".join(further)
 
 
@@ -201,12 +231,15 @@ def table(rows):
             width = np.median([float(row[f"width_{kind}_percent"]) for row in worn])
             rms, percent = np.sqrt(np.mean(squares)), 100 * np.mean(held)
             line[kind] = f"{rms:.2g} / +-{width:.2g} / {percent:.0f}"
-            n_parts = sum(part.startswith(kind) for part in COMPONENTS)
+            alike = all(not row["verdict"] for row in of)  # all parts of a kind as one
+            n_parts = 1 if alike else sum(part.startswith(kind) for part in COMPONENTS)
             n_held, n_all = n_held + n_parts * sum(held), n_all + n_parts * len(held)
         low, high = binomtest(round(n_held), n_all).proportion_ci(method="wilson")
         line["held"] = f"{100 * n_held / n_all:.0f} ({100 * low:.0f} to {100 * high:.0f})"
-        line["right"] = f"{sum(row['verdict'] == 'right' for row in worn)} of {len(worn)}"
-        line["wrong"] = f"{sum(row['verdict'] == 'wrong' for row in of)} of {len(of)}"
+        line["right"] = line["wrong"] = "-"
+        if not alike:
+            line["right"] = f"{sum(row['verdict'] == 'right' for row in worn)} of {len(worn)}"
+            line["wrong"] = f"{sum(row['verdict'] == 'wrong' for row in of)} of {len(of)}"
         line["flagged"] = sum(int(row["flagged"]) for row in of)
         joint = [row["together"] for row in worn if row.get("together")]
         line["joint"] = f"{joint.count('right')} of {len(joint)}" if joint else "-"
@@ -232,6 +265,7 @@ def main():
     parser.add_argument("--together", type=at_least(1), default=1, help="trips of each fault")
     parser.add_argument("--later-minutes", type=at_least(3, float), help="of trips after these")
     parser.add_argument("--speeds", nargs=2, type=float, default=[SPEED_M_PER_S] * 2, help="m/s")
+    parser.add_argument("--sensors", choices=list(LAYOUTS), default="six", help="where they are")
     parser.add_argument("--both-ways", action="store_true", help="every other trip in reverse")
     parser.add_argument("--output", type=Path, default=RESULTS, help="folder of the table")
     options = parser.parse_args()

@@ -91,6 +91,9 @@ SHIFTS = {
     "sensors": {
         **{f"sensitivity_{i}": (0.98, 1.02) for i in range(6)},
         **{f"late_s_{i}": (-3e-4, 3e-4) for i in range(6)},
+        # drawn last: numbers of the six do not depend on the others
+        **{f"sensitivity_{i}": (0.98, 1.02) for i in range(6, 9)},
+        **{f"late_s_{i}": (-3e-4, 3e-4) for i in range(6, 9)},
     },
     "wheelsets": {"wheelset_share": (0.001, 0.01)},
     "axle_box_arm": {"sensor_on_arm": (-0.1, 0.1)},
@@ -116,7 +119,7 @@ SHIFTS = {
     # new wheels have 0.03 to 0.05; with more, lateral acceleration nears the vertical one
     "worn_wheels": {"conicity": (0.08, 0.13)},
     # evenly drawn, with a standard deviation of 2 %
-    "cross_axis": {f"cross_axis_{i}": (-0.02 * 3**0.5, 0.02 * 3**0.5) for i in range(6)},
+    "cross_axis": {f"cross_axis_{i}": (-0.02 * 3**0.5, 0.02 * 3**0.5) for i in range(9)},
     "rebound": {"rebound_share": (0.05, 0.25)},
     "secondary_friction": {"secondary_friction_n": (50.0, 200.0)},
     "air_spring": {"closed_choke": (0.8, 2.0)},

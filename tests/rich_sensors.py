@@ -22,13 +22,13 @@ RANGES_G, BITS = (50.0, 10.0, 2.0), 16
 """Ranges of axle box, frame and body."""
 
 
-def own_sensor(train, sensor, index):
-    """Return the `Sensor` at one of rich_structure.SENSORS, with its own gain and delay."""
+def own_sensor(train, sensor, name):
+    """Return the `Sensor` at one of a train's places, with its own gain and delay."""
     if "coloured_noise" in train.effects:
         sensor = replace(sensor, snr_db=None)
     if "sensors" not in train.effects:
         return sensor
-    gain, late_s = (getattr(train, f"{name}_{index}") for name in ("sensitivity", "late_s"))
+    gain, late_s = train.of_sensor("sensitivity", name), train.of_sensor("late_s", name)
     return replace(sensor, gain=gain * sensor.gain, clock_offset_s=late_s + sensor.clock_offset_s)
 
 

@@ -21,6 +21,9 @@ SENSORS = (
     "body left",
     "body right",
 )
+SEVEN = (*SENSORS[:2], "axle_box2 left", "axle_box2 right", *SENSORS[2:4], "body middle")
+"""Four axle boxes, two on the frame, one on the body."""
+ALL_SENSORS = (*SENSORS, "axle_box2 left", "axle_box2 right", "body middle")
 
 ADDED = (
     *(("ballast", f"track {i}", f) for i in range(N_WHEELS) for f in ("z", "roll")),
@@ -179,29 +182,29 @@ class Structure:
         )
 
     def _sensors(self):
-        """Return what ``SENSORS`` read, (6, n_u): vertical motion, and a share of the lateral."""
-        t = self.train
-        places = [
-            ("wheelset 0", 0.0, 0.0),
-            ("bogie 1", t.half_wheelbase_m, 0.0),
-            ("body", t.half_pivot_m, -t.floor_below_m),
-        ]
-        moved = np.stack(
-            [
-                self.bodies[name].motion((x, side * t.sensor_half_m, z))
-                for name, x, z in places
-                for side in (1, -1)
-            ]
-        )
-        found, aside = moved[:, 2], moved[:, 1]
-        if "floors" in self.effects:
-            found[4:] = [self.row[f"floor {side}", "z"] for side in ("left", "right")]
+        """Return what the sensors read, (n, n_u): vertical motion, and a share of the lateral."""
+        t, a, arm = self.train, self.train.half_wheelbase_m, self.train.sensor_on_arm
         # an arm is a rigid rod between two points: along it the motion changes evenly
-        on_arm = np.eye(len(found))
-        on_arm[:2, :2] *= 1 - t.sensor_on_arm
-        on_arm[:2, 2:4] = t.sensor_on_arm * np.eye(2)
-        shares = np.array([getattr(t, f"cross_axis_{i}") for i in range(len(found))])
-        return on_arm @ found + shares[:, None] * (on_arm @ aside)
+        places = {
+            "axle_box": {("wheelset 0", 0.0, 0.0): 1 - arm, ("bogie 1", a, 0.0): arm},
+            "axle_box2": {("wheelset 1", 0.0, 0.0): 1 - arm, ("bogie 1", -a, 0.0): arm},
+            "bogie": {("bogie 1", a, 0.0): 1.0},
+            "body": {("body", t.half_pivot_m, -t.floor_below_m): 1.0},
+        }
+        rows = []
+        for sensor in t.sensors:
+            name, side = sensor.split()
+            y = {"left": 1, "middle": 0, "right": -1}[side] * t.sensor_half_m
+            moved = sum(
+                share * self.bodies[body].motion((x, y, z))
+                for (body, x, z), share in places[name].items()
+            )
+            found, aside = moved[2], moved[1]
+            # in the middle a sensor is on the beam between both floors
+            if name == "body" and "floors" in self.effects and side != "middle":
+                found = self.row[f"floor {side}", "z"]
+            rows.append(found + t.of_sensor("cross_axis", sensor) * aside)
+        return np.array(rows)
 
     def _name_coordinates(self):
         """Give each motion its column of u."""

@@ -17,7 +17,7 @@ from functools import cached_property
 
 import numpy as np
 from rich_effects import EFFECTS, FAMILY, LAWS, SCATTER, SHIFTS, UNEQUAL
-from rich_structure import PARTS, PROCESSES, Structure
+from rich_structure import ALL_SENSORS, PARTS, PROCESSES, SENSORS, Structure
 from vehicles import AM96
 
 
@@ -29,6 +29,7 @@ class RichTrain:
     """
 
     effects: frozenset = frozenset()
+    sensors: tuple = SENSORS
     speed_m_per_s: float = 70.0
     reverse: bool = False
 
@@ -97,19 +98,25 @@ class RichTrain:
     gyration_exponent: float = 0.0
     stiffness_exponent: float = 0.0  # secondary; 0.7 of air springs
     damping_exponent: float = 0.0
-    # Sensors, in the order of rich_structure.SENSORS: gain, and how late each is
+    # Sensors, in the order of rich_structure.ALL_SENSORS: gain, and how late each is
     sensitivity_0: float = 1.0
     sensitivity_1: float = 1.0
     sensitivity_2: float = 1.0
     sensitivity_3: float = 1.0
     sensitivity_4: float = 1.0
     sensitivity_5: float = 1.0
+    sensitivity_6: float = 1.0
+    sensitivity_7: float = 1.0
+    sensitivity_8: float = 1.0
     late_s_0: float = 0.0
     late_s_1: float = 0.0
     late_s_2: float = 0.0
     late_s_3: float = 0.0
     late_s_4: float = 0.0
     late_s_5: float = 0.0
+    late_s_6: float = 0.0
+    late_s_7: float = 0.0
+    late_s_8: float = 0.0
     # Excitation of each wheelset alone, as a share of the mean track's density
     wheelset_share: float = 0.0
     # Axle boxes' sensors on their arms: at the axle (0), at the frame above (1), beyond (below 0)
@@ -168,6 +175,9 @@ class RichTrain:
     cross_axis_3: float = 0.0
     cross_axis_4: float = 0.0
     cross_axis_5: float = 0.0
+    cross_axis_6: float = 0.0
+    cross_axis_7: float = 0.0
+    cross_axis_8: float = 0.0
     # Wheels out of round (rich_line.py) are drawn from it
     wheels_seed: int = 0
     # The laden body's centre of gravity, of one trip
@@ -215,7 +225,7 @@ class RichTrain:
 
     def numbers(self):
         """Return every number by its name."""
-        return {f.name: getattr(self, f.name) for f in fields(self)[3:]}
+        return {f.name: getattr(self, f.name) for f in fields(self)[4:]}
 
     @property
     def n_processes(self):
@@ -257,10 +267,14 @@ class RichTrain:
         return np.tile(np.eye(4 * self.n_processes, 4), (len(frequencies_hz), 1, 1))
 
     def gains(self, frequencies_hz):
-        """Return what each sensor makes of the acceleration under it, complex (n_freq, 6)."""
-        size = np.array([getattr(self, f"sensitivity_{i}") for i in range(6)])
-        late_s = np.array([getattr(self, f"late_s_{i}") for i in range(6)])
+        """Return what each sensor makes of the acceleration under it, complex (n_freq, n)."""
+        size = np.array([self.of_sensor("sensitivity", sensor) for sensor in self.sensors])
+        late_s = np.array([self.of_sensor("late_s", sensor) for sensor in self.sensors])
         return size * np.exp(-2j * np.pi * np.outer(frequencies_hz, late_s))
+
+    def of_sensor(self, name, sensor):
+        """Return a number of one sensor."""
+        return getattr(self, f"{name}_{ALL_SENSORS.index(sensor)}")
 
     def matrices(self, ratios):
         """Return the equations of motion with a worn first bogie.

@@ -16,7 +16,7 @@ from rich_modes import simulate_modes
 from rich_motion import simulate
 from rich_sensors import own_sensor, recorded
 from rich_spectra import process_spectra
-from rich_structure import SENSORS
+from rich_structure import ALL_SENSORS
 from rich_trips import DRIFT
 from scipy.signal import resample_poly
 from vehicles import AM96
@@ -92,7 +92,7 @@ def write_train_trips(
     ]
 
     def write(i, signals):
-        rngs = _rng(sources[i][1]), _rng(sources[i][3]).spawn(len(SENSORS))
+        rngs = _rng(sources[i][1]), _rng(sources[i][3]).spawn(len(ALL_SENSORS))
         return _write(folder, fleet, i, ratios[i], drives[i], signals, sides, rngs, warm[i])
 
     if train.is_linear:
@@ -205,23 +205,24 @@ def _write(folder, fleet, index, ratios, drive, signals, sides, rngs, temperatur
     name, channels = f"trip_{index + 1:03d}", {}
     (folder / name).mkdir(parents=True)
     loggers, train, (rng, own_rngs) = fleet.loggers(), drive.train, rngs
-    channels_of = zip(loggers.items(), signals.reshape(3, 2, -1), strict=True)
-    for kind, ((channel, sensor), pair) in enumerate(channels_of):
+    for kind, (channel, sensor) in enumerate(loggers.items()):
         ratio = Fraction(sensor.rate_hz / drive.rate_hz).limit_denominator(1000)
-        if ratio != 1:
-            up, down = ratio.numerator, ratio.denominator
-            pair = resample_poly(pair, up, down, axis=1, window=ANTI_ALIAS)
         found = {}
-        for i, (side, signal) in enumerate(zip(SIDES, pair, strict=True), 2 * kind):
-            signal = own_sensor(train, sensor, i).record(signal, rng)
-            found[side] = recorded(train.effects, kind, signal, sensor.rate_hz, own_rngs[i])
+        for place, signal in zip(train.sensors, signals, strict=True):
+            if not place.startswith(channel):
+                continue
+            if ratio != 1:
+                up, down = ratio.numerator, ratio.denominator
+                signal = resample_poly(signal, up, down, window=ANTI_ALIAS)
+            signal = own_sensor(train, sensor, place).record(signal, rng)
+            own_rng = own_rngs[ALL_SENSORS.index(place)]
+            signal = recorded(train.effects, kind, signal, sensor.rate_hz, own_rng)
+            found[place.removeprefix(channel).strip()] = signal
         if sides == "mean":
             found = {"mean": sum(found.values()) / 2}
         file = f"{name}/{channel}.parquet"
         _write_columns(folder / file, found)
-        channels[channel] = [
-            SensorSource(file, "m/s2", column=column, rate_hz=sensor.rate_hz) for column in found
-        ]
+        channels[channel] = [_source(file, column, sensor.rate_hz) for column in found]
     seconds = np.arange(math.floor(drive.journey.duration_s) + 1.0)
     _write_columns(folder / name / "speed.parquet", {"speed": drive.journey.at(seconds)[1]})
     chosen = {
@@ -252,6 +253,14 @@ def _write(folder, fleet, index, ratios, drive, signals, sides, rngs, temperatur
         }
         path.write_text(yaml.safe_dump(content, sort_keys=False, default_flow_style=None))
     return path
+
+
+def _source(file, column, rate_hz):
+    """Return where a sensor is stored, by the words of its place but for the channel."""
+    *axle, side = column.split()
+    place = {"side": side} if side in (*SIDES, "middle") else {}
+    place |= {"axle": int(axle[0])} if axle else {}
+    return SensorSource(file, "m/s2", column=column, rate_hz=rate_hz, **place)
 
 
 def _rng(source):

@@ -1,12 +1,18 @@
 """Trips of the three-dimensional train on disk: the same as suspnet's where they can be."""
 
+from dataclasses import replace
+
 import numpy as np
 import pyarrow.parquet as pq
+import pytest
 import yaml
+from rich_effects import BASE
+from rich_structure import SEVEN
 from rich_train import RichTrain
 from rich_train_trips import write_train_trips
 from vehicles import AM96
 
+from suspnet.trains.identification.bogie_trips import sensor_places
 from suspnet.trains.recordings.manifest import CHANNELS
 from suspnet.trains.recordings.manifest_files import read_manifest
 from suspnet.trains.simulation import Fleet, Scenario, Simulation, write_fleet
@@ -77,3 +83,34 @@ def test_a_pair_has_a_list_of_sensors_for_each_channel(tmp_path):
             expected = both.get(sides, (both["left"] + both["right"]) / 2)
             found = columns(one, channel)[sides]
             np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6 * np.abs(found).max())
+
+
+def test_seven_sensors_are_at_their_places_and_those_that_six_have_read_the_same(tmp_path):
+    train, fleet = RichTrain.scattered(1, (*BASE, "sensors", "cross_axis")), fleet_of()
+    paths = [
+        write_train_trips(tmp_path / name, one, np.ones((1, 13)), fleet, 2)[0]
+        for name, one in (("six", train), ("seven", replace(train, sensors=SEVEN)))
+    ]
+    six, seven = ({name: columns(path, name) for name in CHANNELS} for path in paths)
+    for channel, sides in six.items():
+        for side in sides:
+            if channel != "body":
+                np.testing.assert_array_equal(seven[channel][side], sides[side])
+    # axle 2 passes each place of the track 2 a / v later
+    behind_s = 2 * train.half_wheelbase_m / fleet.speed_m_per_s
+    axle1, axle2 = (seven["axle_box"][column] for column in ("left", "2 left"))
+    late = np.argmax(np.correlate(axle2, axle1, "full")) - (len(axle1) - 1)
+    assert late / RATES["axle_box"] == pytest.approx(behind_s, abs=2e-3)
+    places = sensor_places(read_manifest(paths[1]), "axle")
+    assert places == (
+        *("axle_box_axle1_left", "axle_box_axle1_right"),
+        *("axle_box_axle2_left", "axle_box_axle2_right"),
+        *("frame_axle1_left", "frame_axle1_right", "body_middle"),
+    )
+
+
+def test_sensor_in_the_middle_of_a_rigid_body_reads_the_mean_of_both_sides():
+    train = RichTrain.scattered(1)
+    rows = train.matrices(np.ones(13)).sensors
+    middle = replace(train, sensors=SEVEN).matrices(np.ones(13)).sensors[-1]
+    np.testing.assert_allclose(middle, rows[4:].mean(axis=0), atol=1e-15)
