@@ -33,6 +33,12 @@ from suspnet.vehicle.quantities import LOAD_DEVIATIONS, MASS_DEVIATION, MASS_MEA
 
 WEAR = 0.5
 """Standard deviation of the logarithm of a part's ratio before the trip: wide, as wear is."""
+DAMPING_OF_TRIP = (0.02, 0.02)
+"""Standard deviations of the logarithms that all c_p and all c_s differ by from trip to trip beyond
+what temperature and speed do, where they are nonlinear and healthy trips show no other. Without it
+the slope of c_s over the speed was -0.95 in place of -0.2 on healthy trips whose speeds differ by
+2.5 % (tests/rich_train.py, all, seed 7), and c_s was read 14 % too small where a spring had
+worn."""
 FURTHEST = 20.0
 """Largest coordinate of vehicles that are tried: logarithms of ratios, and deviations of priors."""
 SEPARATE = np.eye(len(COMPONENTS))
@@ -52,14 +58,17 @@ class BogieMisfit:
     """The sum of squares of some trips: coordinates of z, then each trip's own numbers.
 
     `noises` are those of the trips' sensors as `SubspaceMisfit` takes them. Healthy trips have the
-    logarithm of their mass as their own number, others those that `ties` (13, n_tied) makes the
-    logarithms of all parts and the mass from, the mass last. Where the vehicle has the part load,
+    logarithm of their mass as their own number, after those by which c_p and c_s of both bogies
+    differ by chance if the vehicle has the part nonlinear_dampers, others those that `ties` (13,
+    n_tied) makes the logarithms of all parts and the mass from, the mass last. Where the vehicle
+    has the part load,
     log(1 + where its centre is [m]) follows, of each direction of ``LOAD_DEVIATIONS``. `mass` is
     what the masses of the trips are expected about, the median of their prior. `conditions`
     (n_trips, 7) are those of the trips that their suspension depends on, None if it is that of the
     vehicle; its slopes (`suspnet.estimation.suspension_law`) are `slopes` (7,), or, None, follow z,
     in deviations from their prior. `errors` are those of the vehicle's responses (n_freq,
-    n_sensors) [-], see `suspnet.trains.spectra.model_errors`.
+    n_sensors) [-], see `suspnet.trains.spectra.model_errors`. `chance` are the standard deviations
+    by which c_p and c_s differ by chance.
     """
 
     generator: SpatialVehicle
@@ -71,6 +80,7 @@ class BogieMisfit:
     conditions: FloatArray | None = None
     slopes: FloatArray | None = None
     errors: Tensor | None = None
+    chance: tuple[float, float] = DAMPING_OF_TRIP
 
     def __post_init__(self) -> None:
         for trip in self.trips:
@@ -120,7 +130,7 @@ class BogieMisfit:
         """Number of slopes of the suspension's law that the trips tell."""
         if self.conditions is None or self.slopes is not None:
             return 0
-        return len(SLOPES) if "nonlinear_dampers" in self.generator.parts else N_OF_TEMPERATURE
+        return len(SLOPES) if self._has_speeds else N_OF_TEMPERATURE
 
     @property
     def n_shared(self) -> int:
@@ -145,6 +155,24 @@ class BogieMisfit:
         return self.ties[:, -1:] if self.are_healthy else self.ties
 
     @property
+    def n_free(self) -> int:
+        """Number of coordinates of each trip that say how its dampers differ by chance."""
+        return N_OF_TEMPERATURE if self._has_speeds else 0
+
+    @cached_property
+    def _by_chance(self) -> FloatArray:
+        """Changes of the columns' logarithms with these coordinates, (n_free, n_columns)."""
+        changes = self._follows[: self.n_free].copy()
+        if not self.are_healthy:  # those of the measured bogie have coordinates of their own
+            changes[:, : len(COMPONENTS)] = 0.0
+        return changes
+
+    @property
+    def _has_speeds(self) -> bool:
+        """Whether the suspension depends on the speeds of the dampers."""
+        return self.conditions is not None and "nonlinear_dampers" in self.generator.parts
+
+    @property
     def _loads(self) -> list[int]:
         """Columns of where a trip's load is."""
         has_load = "load" in self.generator.parts
@@ -156,9 +184,14 @@ class BogieMisfit:
         return 1 + len(self._loads)
 
     @property
+    def n_parts(self) -> int:
+        """Number of coordinates of each trip that say what its springs and dampers are."""
+        return self.n_free + len(self._own_ties.T) - 1
+
+    @property
     def n_own(self) -> int:
         """Number of coordinates of each trip alone."""
-        return len(self._own_ties.T) + len(self._loads)
+        return self.n_parts + self.n_load
 
     @cached_property
     def all_bins(self) -> Tensor:
@@ -168,10 +201,10 @@ class BogieMisfit:
     @cached_property
     def _own(self) -> tuple[FloatArray, FloatArray]:
         """Prior mean and standard deviation of each trip's own numbers, (n_own,) each."""
-        n_parts = self.n_own - self.n_load
         mean, deviation = np.zeros(self.n_own), np.full(self.n_own, WEAR)
-        mean[n_parts] = math.log(self.mass)
-        deviation[n_parts:] = (MASS_DEVIATION, *LOAD_DEVIATIONS.values())[: self.n_load]
+        deviation[: self.n_free] = self.chance[: self.n_free]
+        mean[self.n_parts] = math.log(self.mass)
+        deviation[self.n_parts :] = (MASS_DEVIATION, *LOAD_DEVIATIONS.values())[: self.n_load]
         return mean, deviation
 
     def start(self, ratios: FloatArray | None = None) -> FloatArray:
@@ -180,7 +213,7 @@ class BogieMisfit:
             own = np.tile(self._own[0], len(self.trips))
         else:
             nearest = np.linalg.lstsq(self._own_ties, np.log(ratios), rcond=None)[0]
-            own = np.pad(nearest.astype(np.float64), (0, self.n_load - 1))
+            own = np.pad(nearest.astype(np.float64), (self.n_free, self.n_load - 1))
         return np.concatenate([np.zeros(self.n_shared), own])
 
     def with_parts(self, parts: Sequence[str], x: FloatArray) -> tuple[BogieMisfit, FloatArray]:
@@ -191,7 +224,8 @@ class BogieMisfit:
         logs[names] = self.numbers.factor @ x[: self.n_numbers]
         standard = np.linalg.lstsq(fit.numbers.factor, logs, rcond=None)[0]
         own = x[self.n_shared :].reshape(len(self.trips), -1)
-        own = np.pad(own, ((0, 0), (0, fit.n_own - self.n_own)))
+        before, after = fit.n_parts - self.n_parts, fit.n_load - self.n_load
+        own = np.pad(own, ((0, 0), (before, after)))
         slopes = np.pad(x[self.n_numbers : self.n_shared], (0, fit.n_slopes - self.n_slopes))
         return fit, np.concatenate([standard, slopes, own.ravel()])
 
@@ -349,6 +383,20 @@ class BogieMisfit:
             trips.append(replace(trip, spectra=replace(trip.spectra, values=values)))
         return replace(fit, trips=trips)
 
+    def with_chance_at(self, x: FloatArray) -> BogieMisfit:
+        """Return the fit with the scatter of the dampers that healthy trips show at x.
+
+        With u_i what the dampers of a kind differ by on trip i, and V_i its variance, the square of
+        the standard deviation is the mean of u_i^2 + V_i: a step of expectation maximisation.
+        """
+        if not self.n_free:
+            return self
+        own, n = x[self.n_shared :].reshape(len(self.trips), -1), self.n_shared
+        variances = np.diag(self.covariance(x, 1.0))[n:].reshape(own.shape)
+        squares = (own**2 + variances)[:, : self.n_free].mean(axis=0)
+        c_p, c_s = np.sqrt(squares).tolist()
+        return replace(self, chance=(c_p, c_s))
+
     def with_errors_at(self, x: FloatArray) -> BogieMisfit:
         """Return the fit with noise, and errors of the model that the trips show, at x."""
         fit = self.with_noise_at(x)
@@ -360,6 +408,16 @@ class BogieMisfit:
             trips.append(Explained(spectra, noise, responses, bins, self.sensors_of(trip)))
         errors = model_errors(self.frequencies_hz, trips, self.errors, len(self._sensors))
         return replace(fit, errors=errors)
+
+    def by_slopes(self, i: int, names: Sequence[str]) -> FloatArray:
+        """Return the changes of the logarithms of parts on trip i with each slope.
+
+        Shape (n_names, n_slopes).
+        """
+        if self.conditions is None:
+            return np.zeros((len(names), self.n_slopes))
+        sizes = self.conditions[i] * DEVIATIONS
+        return np.asarray((follows(names).T * sizes)[:, : self.n_slopes])
 
     @cached_property
     def _inputs(self) -> list[int]:
@@ -395,14 +453,15 @@ class BogieMisfit:
         """
         x = np.clip(x, -FURTHEST, FURTHEST)  # a step from afar may overflow
         own = x[self.n_shared :].reshape(len(self.trips), -1)[i]
-        tied, loads = np.split(own, [len(self._own_ties.T)])
+        free, tied, loads = np.split(own, [self.n_free, self.n_parts + 1])
         numbers = self.numbers.ratios(x[None, : self.n_numbers])
         parts = torch.as_tensor(np.exp(self._own_ties @ tied))[None]
         rows = self.generator.with_uncertain(parts, torch.as_tensor(numbers))
         rows[:, self._loads] = torch.as_tensor(np.expm1(loads))
         if self.conditions is None:
             return rows, torch.ones_like(rows)
-        factors = torch.as_tensor(np.exp(self.conditions[i] * self._slopes_at(x) @ self._follows))
+        logs = self.conditions[i] * self._slopes_at(x) @ self._follows
+        factors = torch.as_tensor(np.exp(logs + free @ self._by_chance))
         # a loss below 0, which is none, does not change
         return rows, torch.where(rows > 0, factors, 1.0)
 
@@ -419,15 +478,15 @@ class BogieMisfit:
     def _directions(self) -> Tensor:
         """Changes of the logarithms of the columns with each coordinate, (n, n_columns).
 
-        Those of slopes, which depend on the trip, are left 0.
+        Those of slopes and of dampers by chance, which depend on the trip, are left 0.
         """
         n, shared, columns = self.n_numbers, self.n_shared, self.generator.uncertain_columns
         directions = torch.zeros(
             shared + self.n_own, len(self.generator.columns), dtype=torch.float64
         )
         directions[:n, columns] = torch.tensor(self.numbers.factor.T.copy())
-        n_tied = shared + len(self._own_ties.T)
-        directions[shared:n_tied, : len(COMPONENTS)] = torch.as_tensor(self._own_ties.T)
+        n_free, n_tied = shared + self.n_free, shared + self.n_parts + 1
+        directions[n_free:n_tied, : len(COMPONENTS)] = torch.as_tensor(self._own_ties.T)
         directions[range(n_tied, len(directions)), self._loads] = 1.0
         return directions
 
@@ -443,8 +502,10 @@ class BogieMisfit:
         rows, offsets = alike * factors, self.generator.offsets
         inner = torch.where(offsets > 0, factors * (alike + offsets) / (rows + offsets), 1.0)
         directions, n = self._directions * inner, self.n_slopes
-        sizes = torch.as_tensor((self.conditions[i] * DEVIATIONS)[:n, None] * self._follows[:n])
-        directions[self.n_numbers : self.n_shared] = sizes * rows.clamp(min=0) / (rows + offsets)
+        sizes = (self.conditions[i] * DEVIATIONS)[:n, None] * self._follows[:n]
+        sizes = torch.as_tensor(np.concatenate([sizes, self._by_chance]))
+        own = slice(self.n_numbers, self.n_shared + self.n_free)
+        directions[own] = sizes * rows.clamp(min=0) / (rows + offsets)
         return directions
 
     def responses_along(self, x: FloatArray, i: int, bins: Tensor) -> tuple[Tensor, Tensor]:

@@ -138,7 +138,7 @@ def _with_parts(end: SearchEnd, parts: Sequence[str]) -> SearchEnd:
 
 def _learnt(end: SearchEnd, rounds: int) -> SearchEnd:
     for _ in range(rounds):
-        fit = end.fit.with_errors_at(end.x)
+        fit = end.fit.with_errors_at(end.x).with_chance_at(end.x)
         end = SearchEnd(fit, *search(fit, end.x, 0.0, _thinned(fit), HEALTHY_TOLS[0]))
     return end
 
