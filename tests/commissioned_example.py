@@ -1,5 +1,6 @@
 """A bogie with known numbers, its three drawn healthy trips, made once for all tests."""
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -7,21 +8,17 @@ import numpy as np
 import torch
 from vehicles import AM96
 
-from suspnet.curves.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
-from suspnet.curves.estimates import EstimateSettings
-from suspnet.curves.speeds import Speeds
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
+from suspnet.ground.parameters import COMPONENTS
 from suspnet.trains.fits.commissioning import as_bogie
-from suspnet.trains.fits.healthy_misfit import HealthySpectra
 from suspnet.trains.identification.healthy_trips import HealthyTrips
 from suspnet.trains.recordings.manifest import CHANNELS, TripManifest
 from suspnet.trains.recordings.manifest_sources import SensorSource
+from suspnet.trains.spectra.bogie_trip import BogieTrip
+from suspnet.trains.spectra.subspace import SpectralMatrix
 from suspnet.vehicle import SpatialVehicle, VerticalVehicle
 from suspnet.vehicle.quantities import LogNormal
 
-SETTINGS = EstimateSettings(
-    segment_s=5.0, rates_hz=(1000.0, 500.0, 500.0), high_hz=9.9, body_high_hz=9.0
-).bound(AM96)
 UNCERTAIN = {
     "healthy_k_p": 0.2,
     "healthy_c_p": 0.4,
@@ -35,6 +32,10 @@ MASSES = (0.95, 1.05, 1.15)
 SPEEDS = (60.0, 70.0, 60.0)
 DEVIATION = 0.01
 """Standard deviation of the logarithm of each number that the bogie knows."""
+BINS = torch.arange(1.0, 18.0, 0.5, dtype=torch.float64)
+N_AVERAGES = 200
+NOISE = 1e-6
+"""Noise of each sensor, of inputs of about 1."""
 
 
 def trip(name, mileage_km, **changes):
@@ -44,27 +45,52 @@ def trip(name, mileage_km, **changes):
     return TripManifest(path=path, name=name, mileage_km=mileage_km, channels=channels, **fields)
 
 
+def drawn_trip(vehicle, numbers, mass, speed_m_per_s, seed):
+    """Return a trip of a vehicle with these numbers, its inputs of any spectra and coherence."""
+    rng = np.random.default_rng(seed)
+    parts = torch.ones(1, len(COMPONENTS), dtype=torch.float64)
+    parts[0, -1] = mass
+    vehicle = replace(vehicle, speed_m_per_s=speed_m_per_s)
+    rows = vehicle.with_uncertain(parts, torch.tensor([numbers], dtype=torch.float64))
+    responses = vehicle.channels(rows, BINS)[0].permute(2, 1, 0).numpy()
+    n_freq, n_sensors, n_inputs = responses.shape
+
+    def normal(*shape):
+        return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)
+
+    inputs = normal(n_freq, n_inputs, n_inputs)
+    signals = responses @ inputs @ normal(n_freq, n_inputs, N_AVERAGES)
+    signals += np.sqrt(NOISE) * normal(n_freq, n_sensors, N_AVERAGES)
+    values = signals @ signals.conj().swapaxes(1, 2) / N_AVERAGES
+    return BogieTrip(BINS, SpectralMatrix(torch.as_tensor(values), N_AVERAGES), speed_m_per_s)
+
+
 @cache
 def commissioned_example():
     """Return healthy trips, drawn from a known vehicle, and the vehicle of a bogie like it."""
-    generator = VerticalVehicle(AM96, parts=("bushings",), distribution=UNCERTAIN)
-    source, groups = torch.Generator().manual_seed(0), []
-    taps = moving_average_with(SETTINGS.welch.correlation().numpy())
-    for i, (mass, speed) in enumerate(zip(MASSES, SPEEDS, strict=True)):
-        rows = torch.ones(1, 5, dtype=torch.float64)
-        rows[0, 4] = mass
-        rows = generator.with_uncertain(rows, torch.tensor([TRUE], dtype=torch.float64))
-        at = Speeds((speed,), (1.0,))
-        drawn = sample_spectra(SETTINGS.observer(generator).at(at).expected(rows), taps, source)
-        spectra = CrossSpectra(drawn.auto[0], drawn.cross[0], drawn.n_averages)
-        groups.append(HealthySpectra(i, f"trip_{i}", at, spectra))
-    manifests = tuple(trip(f"trip_{i}", 12345.0 * (i + 1)) for i in range(3))
-    left_out = ("trip_9: no stretch at one speed",)
-    found = HealthyTrips(manifests, tuple(groups), (True, True, True), left_out)
-    names = tuple(UNCERTAIN)[:-1]
-    covariance = tuple(map(tuple, DEVIATION**2 * np.eye(len(names))))
-    known = LogNormal(names, tuple(np.log(TRUE[:-1]).tolist()), covariance)
+    names, covariance = tuple(UNCERTAIN)[:-1], DEVIATION**2 * np.eye(len(UNCERTAIN) - 1)
+    known = LogNormal(
+        names, tuple(np.log(TRUE[:-1]).tolist()), tuple(map(tuple, covariance.tolist()))
+    )
     vehicle = SpatialVehicle(AM96, parts=("bushings",), distribution=known)
-    noise = torch.ones(len(vehicle.sensors), dtype=torch.float64)
+    trips = tuple(
+        drawn_trip(vehicle, TRUE[:-1], mass, speed, i)
+        for i, (mass, speed) in enumerate(zip(MASSES, SPEEDS, strict=True))
+    )
+    before = SpatialVehicle(
+        AM96,
+        parts=("bushings",),
+        distribution={name: UNCERTAIN[name] for name in names},
+    )
+    found = HealthyTrips(
+        tuple(trip(f"trip_{i}", 12345.0 * (i + 1)) for i in range(3)),
+        (),
+        (True, True, True),
+        ("trip_9: no stretch at one speed",),
+        before,
+        trips,
+    )
+    noise = torch.full((len(vehicle.sensors),), NOISE, dtype=torch.float64)
     bogie = CommissionedBogie(vehicle, noise, np.array(MASSES), 1.02, True)
-    return found, as_bogie(generator, SETTINGS, groups, bogie)
+    generator = VerticalVehicle(AM96, parts=("bushings",), distribution=UNCERTAIN)
+    return found, as_bogie(generator, bogie)

@@ -156,7 +156,7 @@ def _commissioned(
             ",".join(generator.parts),
         )
     bogie = commission_parts(healthy, trips)
-    outcome = commission_trips(healthy, generator, settings, bogie=bogie)
+    outcome = commission_trips(healthy, generator, bogie)
     with speaking(config.language):
         write_outcome(folder, healthy, outcome)
     usual = replace(outcome.generator, speed_m_per_s=median(healthy.speeds_m_per_s))

@@ -60,8 +60,9 @@ def fitted(monkeypatch):
 def quick(monkeypatch):
     """Draw nothing."""
 
-    def write_numbers(folder, *outcome):
-        write_json(folder / "commissioning.json", as_json(*outcome))
+    def write_numbers(folder, healthy, outcome):
+        misfits = [1.0] * len(healthy.of_parts)
+        write_json(folder / "commissioning.json", as_json(healthy, outcome, misfits))
 
     monkeypatch.setattr(train, "write_outcome", write_numbers)
 

@@ -6,21 +6,28 @@ import math
 import re
 from dataclasses import replace
 from html import unescape
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
-from commissioned_example import MASSES, UNCERTAIN, commissioned_example, trip
+from commissioned_example import (
+    BINS,
+    MASSES,
+    N_AVERAGES,
+    SPEEDS,
+    UNCERTAIN,
+    commissioned_example,
+    trip,
+)
 from vehicles import AM96
 
-from suspnet.estimation.commissioned_bogie import HealthyScatter
+from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScatter
 from suspnet.estimation.suspension_law import NOTE, SuspensionLaw
-from suspnet.ground.parameters import COMPONENTS
 from suspnet.runs.language import speaking
+from suspnet.trains.fits.explained_trips import explained_trips
 from suspnet.trains.identification import commissioning_summary as words
-from suspnet.trains.identification.healthy_trips import HealthyTrips
-from suspnet.trains.pages.commissioning_page import training_notes, write_outcome
+from suspnet.trains.identification.bogie_trips import PARTS_OF_BOGIE
+from suspnet.trains.pages.commissioning_page import amplified, links, training_notes, write_outcome
 from suspnet.vehicle import SpatialVehicle
 from suspnet.vehicle.quantities import QUANTITIES
 
@@ -96,12 +103,51 @@ def test_json_holds_trips_masses_and_misfits(commissioned, written):
     assert content["explained"] is True
     assert content["mileage_km"] == [12345.0, 37035.0]
     assert content["left_out"] == ["trip_9: no stretch at one speed"]
-    for one, mass, misfit in zip(content["trips"], MASSES, outcome.misfits, strict=True):
+    for one, mass, speed in zip(content["trips"], MASSES, SPEEDS, strict=True):
         assert one["mass_ratio"] == mass
         assert one["mass_kg"] == pytest.approx(6300.0 * mass)
         assert one["centre_m"] == []
-        assert [group["misfit"] for group in one["groups"]] == [misfit]
-        assert misfit == pytest.approx(1, abs=0.3)
+        assert one["speed_m_per_s"] == speed
+        assert one["n_averages"] == N_AVERAGES
+        # the trips were drawn with the numbers of the bogie
+        assert one["misfit"] == pytest.approx(1, abs=0.1)
+
+
+def test_responses_are_those_of_the_mean_of_both_sides(commissioned):
+    found, outcome = commissioned
+    trip = found.of_parts[0]
+    ends = links(found.vehicle.sensors)
+    means = np.kron(np.eye(3), [0.5, 0.5])
+    for i, both in enumerate(ends.values()):
+        np.testing.assert_array_equal(both, means[i : i + 2])
+        magnitudes, deviations = amplified(trip.spectra, both)
+        for matrix, magnitude, deviation in zip(
+            trip.spectra.values.numpy(), magnitudes, deviations, strict=True
+        ):
+            lower, upper = both
+            power = [(end @ matrix @ end).real for end in (lower, upper)]
+            cross = abs(upper @ matrix @ lower)
+            assert magnitude == pytest.approx(cross / power[0])
+            square = cross**2 / power[0] / power[1]
+            expected = math.sqrt(max(0.0, 1 - square) / (2 * N_AVERAGES * square))
+            assert deviation == pytest.approx(expected, rel=1e-6)
+    # the bogie's vehicle is as far from its trip as noise, that of the drawing far off
+    off = {}
+    for vehicle in (outcome.bogie.generator, found.vehicle):
+        (one, *_) = explained_trips(vehicle, outcome.bogie, found.of_parts, [None] * 3)
+        logs = [
+            np.log(amplified(one.expected, both)[0] / amplified(trip.spectra, both)[0])
+            for both in ends.values()
+        ]
+        off[vehicle] = np.sqrt(np.mean(np.square(logs)))
+    fitted, drawing = off.values()
+    assert fitted < 0.1 * drawing
+
+
+def test_sensors_of_one_end_alone_show_no_suspension():
+    sensors = "frame_axle1_left", "frame_axle1_right", "frame_axle2_left", "body_middle"
+    ((_, both),) = links(sensors).items()
+    np.testing.assert_array_equal(both, [[0.5, 0.5, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
 
 def test_notes_hold_the_law_of_damping_over_temperature(commissioned):
@@ -158,8 +204,7 @@ def test_page_stands_alone_and_holds_no_nan(written):
 def test_names_are_escaped(commissioned, tmp_path, blank):
     found, outcome = commissioned
     manifests = tuple(trip(HOSTILE, float(i), suspension=HOSTILE) for i in range(3))
-    groups = tuple(replace(group, name=HOSTILE) for group in found.groups)
-    hostile = HealthyTrips(manifests, groups, (False,) * 3, (HOSTILE,))
+    hostile = replace(found, manifests=manifests, paired=(False,) * 3, left_out=(HOSTILE,))
     write_outcome(tmp_path, hostile, outcome)
     page = (tmp_path / "commissioning.html").read_text(encoding="utf-8")
     assert "<script" not in page
@@ -182,21 +227,22 @@ def test_notes_for_the_model_file_name_the_trips(commissioned):
 
 def bogie(misfit, converged=True):
     """Return a bogie of which one damper of twelve is 12 % above its kind, with errors."""
-    values = [1.16 if name == "c_p_axle2_left" else 1.0 for name in COMPONENTS]
-    healthy = SimpleNamespace(names=COMPONENTS, values=np.array(values))
-    errors = torch.full((5, 6), 0.02, dtype=torch.float64)
-    errors[2, 3] = 0.4
-    vehicle = SpatialVehicle(AM96, parts=("bushings", "track"), distribution="prior")
-    return SimpleNamespace(
-        misfit=misfit,
-        converged=converged,
-        law=None,
-        healthy=healthy,
-        masses=np.ones(3),
-        loads_m=np.array([[0.21, -0.04]] * 3),
-        errors=errors,
-        generator=vehicle,
-        scatter=HealthyScatter((1e-3,) * 4, (0.0,) * 4, 5, tuple(map(tuple, 1e-6 * np.eye(12)))),
+    errors = torch.full((len(BINS), 6), 0.02, dtype=torch.float64)
+    errors[4, 3] = 0.4
+    vehicle = SpatialVehicle(AM96, parts=(*PARTS_OF_BOGIE, "track", "load"), distribution="prior")
+    mean = list(vehicle.distribution.mean)
+    mean[vehicle.distribution.names.index("healthy_c_p_axle2_left")] = math.log(1.16)
+    vehicle = replace(vehicle, distribution=replace(vehicle.distribution, mean=tuple(mean)))
+    return CommissionedBogie(
+        vehicle,
+        torch.ones(6, dtype=torch.float64),
+        np.ones(3),
+        misfit,
+        converged,
+        None,
+        errors,
+        HealthyScatter((1e-3,) * 4, (0.0,) * 4, 5, tuple(map(tuple, 1e-6 * np.eye(12)))),
+        np.array([[0.21, -0.04]] * 3),
     )
 
 
@@ -217,9 +263,7 @@ def test_the_verdict_is_that_of_the_parts_where_they_are_read(
     commissioned, tmp_path, blank, misfit, converged, tone, said
 ):
     found, outcome = commissioned
-    bins = SimpleNamespace(frequencies_hz=torch.arange(1.0, 6.0))
-    unlike = replace(outcome, bogie=bogie(misfit, converged))
-    write_outcome(tmp_path, replace(found, of_parts=(bins,)), unlike)
+    write_outcome(tmp_path, found, replace(outcome, bogie=bogie(misfit, converged)))
     page = (tmp_path / "commissioning.html").read_text(encoding="utf-8")
     assert re.findall(r'class="result (\w+)"', page) == [tone]
     assert "starts" not in page.lower()

@@ -1,20 +1,16 @@
-"""A commissioned bogie as a vehicle with both sides and axles as equal, and its trips' curves.
+"""A commissioned bogie as a vehicle with both sides and axles as equal.
 
-Pages show it, and models of a bogie check the channels of later trips with it.
+Pages show its numbers, and models of a bogie check the channels of later trips with it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from suspnet.curves.estimates import EstimateSettings
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
-from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.ground.wording import ShortRepr
-from suspnet.trains.fits.healthy_misfit import HealthyMisfit, HealthySpectra
 from suspnet.vehicle import VerticalVehicle
 from suspnet.vehicle.quantities import OF_THE_TRIP, QUANTITIES, LogNormal
 
@@ -36,68 +32,23 @@ class Commissioned(ShortRepr):
         With the posterior as its distribution.
     prior, posterior : LogNormal
         Of the same names.
-    misfits : tuple of float
-        Rms of the residuals of each group of spectra over that of its noise.
-    frequencies_hz : array of shape (n_freq,), [Hz]
-    observed, nominal, fitted : complex arrays of shape (n_groups, 2, n_freq), [-]
-        G_p and G_s as measured, of the nominal and of the commissioned vehicle.
-    deviations : array of shape (n_groups, 2, n_freq), [-]
-        Standard deviations of the measured log-magnitudes; infinite where a bin is not used.
     """
 
     bogie: CommissionedBogie
     generator: VerticalVehicle
     prior: LogNormal
     posterior: LogNormal
-    misfits: tuple[float, ...]
-    frequencies_hz: FloatArray
-    observed: ComplexArray
-    nominal: ComplexArray
-    fitted: ComplexArray
-    deviations: FloatArray
 
 
-def as_bogie(
-    generator: VerticalVehicle,
-    settings: EstimateSettings,
-    groups: Sequence[HealthySpectra],
-    bogie: CommissionedBogie,
-) -> Commissioned:
-    """Return the vehicle of equal sides with the numbers of a bogie, and the trips' curves.
+def as_bogie(generator: VerticalVehicle, bogie: CommissionedBogie) -> Commissioned:
+    """Return the vehicle of equal sides with the numbers of a bogie.
 
-    `generator` has the prior as its distribution; numbers that the bogie lacks keep it. `settings`
-    are bound to the vehicle; `groups` may be none. The curves are those of the healthy trips' mean
-    temperature.
+    `generator` has the prior as its distribution; numbers that the bogie lacks keep it.
     """
     prior = generator.distribution
     assert prior is not None
     posterior = _posterior(prior, bogie)
-    of_median = replace(generator, distribution=posterior)
-    drawing = replace(generator, distribution=None)
-    frequencies_hz = settings.frequencies_hz().numpy()
-    shape = len(groups), 2, len(frequencies_hz)
-    observed, nominal, fitted = np.zeros((3, *shape), dtype=np.complex128)
-    deviations, misfits = np.zeros(shape), []
-    for i, group in enumerate(groups):
-        mass_log = float(np.log(bogie.masses[group.trip]))
-        median = HealthyMisfit(of_median, settings, group)
-        plain = HealthyMisfit(drawing, settings, group)
-        theta = median.start(mass_log)
-        observed[i], fitted[i], deviations[i] = median.curves(theta)
-        nominal[i] = plain.curves(plain.start(mass_log))[1]
-        misfits.append(median.misfit(theta))
-    return Commissioned(
-        bogie=bogie,
-        generator=_simplest(generator, posterior),
-        prior=prior,
-        posterior=posterior,
-        misfits=tuple(misfits),
-        frequencies_hz=frequencies_hz,
-        observed=observed,
-        nominal=nominal,
-        fitted=fitted,
-        deviations=deviations,
-    )
+    return Commissioned(bogie, _simplest(generator, posterior), prior, posterior)
 
 
 def _posterior(prior: LogNormal, bogie: CommissionedBogie) -> LogNormal:

@@ -25,7 +25,7 @@ from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.speeds import Speeds
 from suspnet.ground.parameters import FORWARD, Direction
 from suspnet.ground.tensors import complex_log
-from suspnet.ground.types import ComplexArray, FloatArray
+from suspnet.ground.types import FloatArray
 from suspnet.learning.least_squares import LevenbergMarquardt
 from suspnet.vehicle import PARAMETERS, VerticalVehicle
 from suspnet.vehicle.quantities import MASS_DEVIATION, MASS_MEAN, LogNormal
@@ -85,13 +85,6 @@ class HealthyMisfit:
         u = 1 - ratio / self._measured.observed
         white = self._measured.whitened(u, torch.zeros(1, dtype=torch.int64))
         return math.sqrt(float(white.square().mean()) / self._measured.expected)
-
-    def curves(self, theta: FloatArray) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-        """Return measured and fitted responses and deviations of the logs, each (2, n_freq)."""
-        fitted = self._measured.observer.noise_free(self._ratios(row_of(theta)))
-        power = self._measured.covariance.diagonal(dim1=1, dim2=2).mT.real
-        observed, deviations = self._measured.observed, (power / 2).sqrt()
-        return observed[0].numpy(), fitted[0].numpy(), deviations[0].numpy()
 
     def search(self) -> FloatArray:
         """Return theta at the end of a search from the median vehicle, (n_coordinates,)."""

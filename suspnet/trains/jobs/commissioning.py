@@ -5,7 +5,6 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from suspnet.curves.estimates import EstimateSettings
 from suspnet.estimation.bogie_model import BogieModel
 from suspnet.estimation.checkpoint import write_model
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
@@ -32,22 +31,17 @@ SIDE_M = dict(zip(SIDES, (1.0, -1.0), strict=True))
 
 
 def commission_trips(
-    healthy: HealthyTrips,
-    generator: ResponseGenerator,
-    settings: EstimateSettings,
-    *,
-    bogie: CommissionedBogie,
+    healthy: HealthyTrips, generator: ResponseGenerator, bogie: CommissionedBogie
 ) -> Commissioned:
-    """Return the vehicle of a `bogie` with both sides and axles as equal, and the trips' curves.
+    """Return the vehicle of a bogie with both sides and axles as equal.
 
     `generator` is the nominal vehicle; without parts it gets all but the air spring, without a
     distribution the prior of its parts. ValueError if the generator cannot be commissioned.
     """
     generator = check_generator(generator)
-    settings = settings.bound(generator.vehicle)
     for reason in healthy.left_out:
         log.warning("left out of the healthy trips: %s", reason)
-    return as_bogie(prior_of(generator, healthy), settings, healthy.groups, bogie)
+    return as_bogie(prior_of(generator, healthy), bogie)
 
 
 # one thread: systems of 30 equations are too small for two, and results are the same anywhere

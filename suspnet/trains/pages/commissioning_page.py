@@ -1,7 +1,8 @@
 """The files of a commissioned vehicle: a page, a figure and numbers."""
 
 import logging
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
@@ -15,16 +16,18 @@ from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.suspension_law import NOTE
 from suspnet.ground.findings import Finding, together
 from suspnet.ground.storage import printable, write_atomically, write_json
-from suspnet.ground.types import ComplexArray, FloatArray
+from suspnet.ground.types import FloatArray
 from suspnet.runs.figures import SUSPENSIONS, as_png, data_uri
 from suspnet.runs.language import N_, gettext, spoken
 from suspnet.trains.fits.bogie_fit import EXPLAINED
 from suspnet.trains.fits.commissioning import Commissioned
+from suspnet.trains.fits.explained_trips import ExplainedTrip, explained_trips
 from suspnet.trains.identification import commissioning_summary as words
 from suspnet.trains.identification.healthy_trips import HealthyTrips
 from suspnet.trains.pages.templates import write_page
 from suspnet.trains.pages.trip_figures import band
 from suspnet.trains.recordings.manifest import CHANNELS
+from suspnet.trains.spectra.subspace import SpectralMatrix
 
 log = logging.getLogger(__name__)
 NAME = "commissioning"
@@ -35,8 +38,8 @@ HEADINGS = {
 }
 """Heading of each figure by its name."""
 EXPLANATION = N_(
-    "By how much each suspension amplifies vibration of each frequency on the trip with the "
-    "least noise. The commissioned vehicle should lie on the measured curve "
+    "By how much each suspension amplifies vibration of each frequency on the longest trip, as the "
+    "mean of both sides. The commissioned vehicle should lie on the measured curve "
     "where its grey band is narrow."
 )
 ABOUT_ERRORS = N_(
@@ -48,17 +51,23 @@ MEASURED, NOMINAL, FITTED = "0.7", "tab:orange", "tab:blue"
 
 def write_outcome(folder: Path, healthy: HealthyTrips, outcome: Commissioned) -> None:
     """Write page, numbers (JSON) and figures of a commissioned vehicle."""
-    figures = {}
-    if healthy.groups:
-        figures["responses"] = responses(healthy, outcome)
+    bogie, celsius = outcome.bogie, [one.temperature_c for one in healthy.manifests]
+    commissioned, drawing = (
+        explained_trips(vehicle, bogie, healthy.of_parts, celsius)
+        for vehicle in (bogie.generator, healthy.vehicle)
+        if vehicle is not None
+    )
+    figures = {"responses": responses(healthy, commissioned, drawing)}
     if outcome.bogie.errors is not None:
         frequencies_hz = healthy.of_parts[0].frequencies_hz.numpy()
         figures["errors"] = errors(outcome.bogie, frequencies_hz)
     for name, figure in figures.items():
         write_atomically(folder / "figures" / f"{NAME}_{name}.png", as_png(figure))
-    numbers = as_json(healthy, outcome)
+    misfits = [trip.misfit for trip in commissioned]
+    numbers = as_json(healthy, outcome, misfits)
     write_json(folder / f"{NAME}.json", numbers)
-    values = _page_values(healthy, outcome, figures) | {"reach": numbers["reach"]}
+    shared = {name: numbers[name] for name in ("reach", "trips")}
+    values = _page_values(healthy, outcome, figures) | shared
     path = write_page(folder / f"{NAME}.html", "commissioning.html", **values)
     log.info("-> %s", path)
 
@@ -79,8 +88,13 @@ def training_notes(healthy: HealthyTrips, outcome: Commissioned) -> dict[str, An
     }
 
 
-def as_json(healthy: HealthyTrips, outcome: Commissioned) -> dict[str, Any]:
-    """Return all numbers of a commissioned vehicle in SI units, for a file."""
+def as_json(
+    healthy: HealthyTrips, outcome: Commissioned, misfits: Sequence[float]
+) -> dict[str, Any]:
+    """Return all numbers of a commissioned vehicle in SI units, for a file.
+
+    `misfits` are those of its trips.
+    """
     generator, bogie = outcome.generator, outcome.bogie
     numbers = words.numbers(outcome) + words.further_numbers(bogie)
     return {
@@ -93,7 +107,7 @@ def as_json(healthy: HealthyTrips, outcome: Commissioned) -> dict[str, Any]:
         "reach": words.reach_of_parts(bogie),
         "threshold": EXPLAINED,
         **training_notes(healthy, outcome),
-        "trips": _trips(healthy, outcome),
+        "trips": _trips(healthy, outcome, misfits),
         "left_out": list(healthy.left_out),
         "bogie_mass_kg": generator.vehicle.bogie_mass_kg,
         "numbers": [number.as_json() for number in numbers],
@@ -149,7 +163,6 @@ def _page_values(
         "groups": groups,
         "untold": words.untold(numbers),
         "scale": words.force_scale(vehicle.bogie_mass_kg),
-        "trips": _trips(healthy, outcome),
         "left_out": healthy.left_out,
         "threshold": EXPLAINED,
         "details": {
@@ -175,18 +188,13 @@ def errors(bogie: CommissionedBogie, frequencies_hz: FloatArray) -> Figure:
     return figure
 
 
-def _trips(healthy: HealthyTrips, outcome: Commissioned) -> list[dict[str, Any]]:
+def _trips(
+    healthy: HealthyTrips, outcome: Commissioned, misfits: Sequence[float]
+) -> list[dict[str, Any]]:
     """Return what page and JSON show of each trip."""
-    rows = []
-    for i, manifest in enumerate(healthy.manifests):
-        stretches: list[tuple[Any, float | None]] = [
-            (group, misfit)
-            for group, misfit in zip(healthy.groups, outcome.misfits, strict=True)
-            if group.trip == i
-        ]
-        if not healthy.groups:  # these trips show their parts only
-            stretches = [(healthy.of_parts[i], None)]
-        ratio, loads_m = float(outcome.bogie.masses[i]), outcome.bogie.loads_m
+    rows, loads_m = [], outcome.bogie.loads_m
+    for i, (manifest, trip) in enumerate(zip(healthy.manifests, healthy.of_parts, strict=True)):
+        ratio = float(outcome.bogie.masses[i])
         rows.append(
             {
                 "name": manifest.name,
@@ -195,42 +203,80 @@ def _trips(healthy: HealthyTrips, outcome: Commissioned) -> list[dict[str, Any]]
                 "mass_ratio": ratio,
                 "mass_kg": ratio * outcome.generator.vehicle.body_mass_kg,
                 "centre_m": [] if loads_m is None else loads_m[i].tolist(),
-                "groups": [
-                    {
-                        "speed_m_per_s": group.speed_m_per_s,
-                        "n_averages": group.spectra.n_averages,
-                        "misfit": misfit,
-                    }
-                    for group, misfit in stretches
-                ],
+                "speed_m_per_s": trip.speed_m_per_s,
+                "n_averages": trip.spectra.n_averages,
+                "misfit": misfits[i],
             }
         )
     return rows
 
 
-def responses(healthy: HealthyTrips, outcome: Commissioned) -> Figure:
-    """Draw measured, nominal and commissioned responses of a trip."""
-    # one trip is drawn, that with the least noise: all of them would hide the band
-    group = int(np.argmin(np.median(outcome.deviations, axis=(1, 2))))
-    measured, frequencies_hz = healthy.groups[group], outcome.frequencies_hz
+def responses(
+    healthy: HealthyTrips,
+    commissioned: Sequence[ExplainedTrip],
+    drawing: Sequence[ExplainedTrip],
+) -> Figure:
+    """Draw what a trip's suspensions amplify: measured, commissioned and by the drawing."""
+    # one trip is drawn: all of them would hide the band
+    i = max(range(len(commissioned)), key=lambda i: healthy.of_parts[i].spectra.n_averages)
+    trip, frequencies_hz = healthy.of_parts[i], healthy.of_parts[i].frequencies_hz.numpy()
+    assert healthy.vehicle is not None
+    assert healthy.vehicle.sensors is not None
+    ends = links(healthy.vehicle.sensors)
     figure = Figure(figsize=(9.0, 4.4), layout="constrained")
-    axes = figure.subplots(1, 2, sharex=True, sharey=True)
-    km, km_per_h = healthy.manifests[measured.trip].mileage_km, 3.6 * measured.speed_m_per_s
+    axes = figure.subplots(1, len(ends), sharex=True, sharey=True, squeeze=False)[0]
+    km, km_per_h = healthy.manifests[i].mileage_km, 3.6 * trip.speed_m_per_s
     where = Finding("measured-at", km=km, km_per_h=km_per_h)
-    curves: tuple[tuple[ComplexArray, str, dict[str, Any]], ...] = (
-        (outcome.observed, where, {"color": MEASURED, "lw": 2.8}),
-        (outcome.nominal, "vehicle of the drawing", {"color": NOMINAL, "lw": 1.2, "ls": "--"}),
-        (outcome.fitted, "commissioned vehicle", {"color": FITTED, "lw": 1.0}),
+    curves: tuple[tuple[SpectralMatrix, str, dict[str, Any]], ...] = (
+        (trip.spectra, where, {"color": MEASURED, "lw": 2.8}),
+        (drawing[i].expected, "vehicle of the drawing", {"color": NOMINAL, "lw": 1.2, "ls": "--"}),
+        (commissioned[i].expected, "commissioned vehicle", {"color": FITTED, "lw": 1.0}),
     )
-    for link, (title, axis) in enumerate(zip(SUSPENSIONS, axes, strict=True)):
+    for (title, both), axis in zip(ends.items(), axes, strict=True):
         axis.set(title=title, xlabel="frequency [Hz]")
-        ends = band(np.abs(outcome.observed[group, link]), outcome.deviations[group, link])
+        magnitudes, deviations = amplified(trip.spectra, both)
+        if trip.left_out is not None:  # other signals: there is no band
+            deviations[trip.left_out.numpy()] = math.inf
+        low_high = band(magnitudes, deviations)
         style = {"color": MEASURED, "alpha": 0.4, "lw": 0, "label": "95 % band"}
-        axis.fill_between(frequencies_hz, *ends, **style)
-        for values, label, style in curves:
-            axis.semilogy(frequencies_hz, np.abs(values[group, link]), label=label, **style)
+        axis.fill_between(frequencies_hz, *low_high, **style)
+        for spectra, label, style in curves:
+            axis.semilogy(frequencies_hz, amplified(spectra, both)[0], label=label, **style)
         axis.margins(x=0)
         axis.grid(True, which="both", alpha=0.3)
     axes[0].set_ylabel("magnitude")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     return figure
+
+
+def links(sensors: Sequence[str]) -> dict[str, FloatArray]:
+    """Return the title of each suspension with sensors at both ends, and their weights (2, m).
+
+    They are the means of the sensors at axle 1, of axle box and frame, and of frame and body.
+    """
+
+    def mean(kind: str) -> FloatArray:
+        at = np.array([name.startswith(kind) and "axle2" not in name for name in sensors], float)
+        return np.asarray(at / max(1.0, at.sum()))
+
+    pairs = (("axle_box", "frame"), ("frame", "body"))
+    weights = [np.stack([mean(kind) for kind in pair]) for pair in pairs]
+    return {
+        title: both
+        for title, both in zip(SUSPENSIONS, weights, strict=True)
+        if both.any(axis=1).all()
+    }
+
+
+def amplified(spectra: SpectralMatrix, both: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return |S_yx| / S_xx of the upper y and the lower end x, and the deviation of its logarithm.
+
+    With the coherence g^2 and n averages the deviation is ((1 - g^2) / (2 n g^2))^1/2 (Bendat and
+    Piersol, 2010, table 9.6); both have the shape (n_freq,).
+    """
+    values = both @ spectra.values.numpy() @ both.T
+    powers, cross = values.diagonal(axis1=1, axis2=2).real, np.abs(values[:, 1, 0])
+    with np.errstate(divide="ignore", invalid="ignore"):  # bins without any signal
+        coherence = cross**2 / powers.prod(axis=1)
+        square = np.clip(1 - coherence, 0, None) / (2 * spectra.n_averages * coherence)
+        return cross / powers[:, 0], np.sqrt(square)
