@@ -222,7 +222,7 @@ def table(rows):
         ends = f"{misfits[0]:.2f} to {misfits[-1]:.2f}" if len(misfits) > 1 else f"{misfits[0]:.2f}"
         seeds = sorted({int(row["seed"]) for row in of})
         line = {"set": name, "seeds": " ".join(map(str, seeds)), "misfit": ends}
-        if len(seeds) > 3:
+        if len(seeds) > 4:
             line["seeds"] = f"{seeds[0]} to {seeds[-1]}"
         n_held, n_all = 0.0, 0
         for kind in KINDS:
@@ -231,7 +231,7 @@ def table(rows):
             width = np.median([float(row[f"width_{kind}_percent"]) for row in worn])
             rms, percent = np.sqrt(np.mean(squares)), 100 * np.mean(held)
             line[kind] = f"{rms:.2g} / +-{width:.2g} / {percent:.0f}"
-            alike = all(not row["verdict"] for row in of)  # all parts of a kind as one
+            alike = not any(row.get("verdict") for row in of)  # all parts of a kind as one
             n_parts = 1 if alike else sum(part.startswith(kind) for part in COMPONENTS)
             n_held, n_all = n_held + n_parts * sum(held), n_all + n_parts * len(held)
         low, high = binomtest(round(n_held), n_all).proportion_ci(method="wilson")
