@@ -148,11 +148,12 @@ def _check_calibration(model: TrainedModel, n_inputs: int, n_outputs: int) -> No
             if not (scales < LARGEST_RATIO).all():
                 raise ValueError(f"the residual scale predicts {scales[0].tolist()}")
     if ood is not None:
-        if len(ood.reference) and ood.reference.shape[1] != n_inputs:
+        is_used = len(ood.reference) > 0
+        if is_used and ood.reference.shape[1] != n_inputs:
             raise ValueError(f"the reference of the OOD detector is not of {n_inputs} inputs")
-        if not math.isfinite(ood.misfit_threshold) or len(ood.reference) != bool(
-            math.isfinite(ood.distance_threshold)
-        ) * len(ood.reference):
+        if not math.isfinite(ood.misfit_threshold) or (
+            is_used and not math.isfinite(ood.distance_threshold)
+        ):
             raise ValueError("the thresholds of the OOD detector must be finite")
 
 

@@ -61,14 +61,13 @@ class BogieMisfit:
     logarithm of their mass as their own number, after those by which c_p and c_s of both bogies
     differ by chance if the vehicle has the part nonlinear_dampers, others those that `ties` (13,
     n_tied) makes the logarithms of all parts and the mass from, the mass last. Where the vehicle
-    has the part load,
-    log(1 + where its centre is [m]) follows, of each direction of ``LOAD_DEVIATIONS``. `mass` is
-    what the masses of the trips are expected about, the median of their prior. `conditions`
-    (n_trips, 7) are those of the trips that their suspension depends on, None if it is that of the
-    vehicle; its slopes (`suspnet.estimation.suspension_law`) are `slopes` (7,), or, None, follow z,
-    in deviations from their prior. `errors` are those of the vehicle's responses (n_freq,
-    n_sensors) [-], see `suspnet.trains.spectra.model_errors`. `chance` are the standard deviations
-    by which c_p and c_s differ by chance.
+    has the part load, log(1 + where its centre is [m]) follows, of each direction of
+    ``LOAD_DEVIATIONS``. `mass` is what the masses of the trips are expected about, the median of
+    their prior. `conditions` (n_trips, 7) are those of the trips that their suspension depends on,
+    None if it is that of the vehicle; its slopes (`suspnet.estimation.suspension_law`) are `slopes`
+    (7,), or, None, follow z, in deviations from their prior. `errors` are those of the vehicle's
+    responses (n_freq, n_sensors) [-], see `suspnet.trains.spectra.model_errors`. `chance` are the
+    standard deviations by which c_p and c_s differ by chance.
     """
 
     generator: SpatialVehicle
@@ -409,15 +408,15 @@ class BogieMisfit:
         errors = model_errors(self.frequencies_hz, trips, self.errors, len(self._sensors))
         return replace(fit, errors=errors)
 
-    def by_slopes(self, i: int, names: Sequence[str]) -> FloatArray:
-        """Return the changes of the logarithms of parts on trip i with each slope.
+    def by_slopes(self, i: int) -> FloatArray:
+        """Return the changes of the logarithms of the columns on trip i with each slope.
 
-        Shape (n_names, n_slopes).
+        Shape (n_slopes, n_columns).
         """
+        n = self.n_slopes
         if self.conditions is None:
-            return np.zeros((len(names), self.n_slopes))
-        sizes = self.conditions[i] * DEVIATIONS
-        return np.asarray((follows(names).T * sizes)[:, : self.n_slopes])
+            return self._follows[:n]
+        return np.asarray((self.conditions[i] * DEVIATIONS)[:n, None] * self._follows[:n])
 
     @cached_property
     def _inputs(self) -> list[int]:
@@ -501,9 +500,8 @@ class BogieMisfit:
             return self._directions
         rows, offsets = alike * factors, self.generator.offsets
         inner = torch.where(offsets > 0, factors * (alike + offsets) / (rows + offsets), 1.0)
-        directions, n = self._directions * inner, self.n_slopes
-        sizes = (self.conditions[i] * DEVIATIONS)[:n, None] * self._follows[:n]
-        sizes = torch.as_tensor(np.concatenate([sizes, self._by_chance]))
+        directions = self._directions * inner
+        sizes = torch.as_tensor(np.concatenate([self.by_slopes(i), self._by_chance]))
         own = slice(self.n_numbers, self.n_shared + self.n_free)
         directions[own] = sizes * rows.clamp(min=0) / (rows + offsets)
         return directions

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -55,9 +55,10 @@ def explained_trips(
     if fit.n_load > 1 and bogie.loads_m is not None:
         own[:, fit.n_parts + 1 :] = np.log1p(bogie.loads_m)
     x = np.concatenate([np.zeros(fit.n_shared), own.ravel()])
-    whole = fit.with_noise_at(x).exact
-    squares = [float(np.square(residuals).mean()) for residuals in whole.of_trips(x)]
+    expected = fit.as_expected(x)
+    measured = replace(expected, trips=trips).exact  # with the same noise
+    squares = [float(np.square(residuals).mean()) for residuals in measured.of_trips(x)]
     return [
-        ExplainedTrip(trip.spectra, float(np.sqrt(square / whole.expected)))
-        for trip, square in zip(fit.as_expected(x).trips, squares, strict=True)
+        ExplainedTrip(trip.spectra, float(np.sqrt(square / measured.expected)))
+        for trip, square in zip(expected.trips, squares, strict=True)
     ]

@@ -60,16 +60,13 @@ def read_as_later(
     are 5 logarithms.
     """
     n, numbers, slopes = fit.n_shared, slice(fit.n_numbers), slice(fit.n_numbers, fit.n_shared)
-    n_trips = len(fit.trips)
-    names = COMPONENTS if len(ties.T) == len(COMPONENTS) else PARAMETERS
-    steps = [_step(fit, x, i, ties) for i in range(len(fit.trips))]
-    healthy = [_told(fit, x, i) for i in range(len(fit.trips))]
+    n_trips, tied = len(fit.trips), np.linalg.pinv(ties)
+    healthy = [_told(fit, x, i) for i in range(n_trips)]
     information_of_all = np.eye(n) + sum(of_trip for of_trip, _ in healthy)
     score_of_all = x[:n] + sum(of_trip for _, of_trip in healthy)
     logs, covariances = [], []
-    for i, ((at, information, score), (mine, my_score)) in enumerate(
-        zip(steps, healthy, strict=True)
-    ):
+    for i, (mine, my_score) in enumerate(healthy):
+        at, information, score = _step(fit, x, i, ties)
         of_others = information_of_all - mine
         before = np.linalg.inv(of_others)
         others = -before @ (score_of_all - my_score)
@@ -84,7 +81,8 @@ def read_as_later(
         first = fit.n_numbers + fit.n_free
         read = slice(first, first + ties.shape[1])
         logs.append((at[free] - covariance @ score)[read])
-        by_law = fit.by_slopes(i, names) * n_trips / (n_trips - 1)  # from the mean of the others
+        by_law = tied @ fit.by_slopes(i)[:, : len(COMPONENTS)].T
+        by_law *= n_trips / (n_trips - 1)  # from the mean of the others
         covariances.append(covariance[read, read] + by_law @ before[slopes, slopes] @ by_law.T)
     return np.array(logs), np.array(covariances)
 

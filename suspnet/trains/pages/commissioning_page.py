@@ -52,10 +52,10 @@ MEASURED, NOMINAL, FITTED = "0.7", "tab:orange", "tab:blue"
 def write_outcome(folder: Path, healthy: HealthyTrips, outcome: Commissioned) -> None:
     """Write page, numbers (JSON) and figures of a commissioned vehicle."""
     bogie, celsius = outcome.bogie, [one.temperature_c for one in healthy.manifests]
+    assert healthy.vehicle is not None
     commissioned, drawing = (
         explained_trips(vehicle, bogie, healthy.of_parts, celsius)
         for vehicle in (bogie.generator, healthy.vehicle)
-        if vehicle is not None
     )
     figures = {"responses": responses(healthy, commissioned, drawing)}
     if outcome.bogie.errors is not None:
