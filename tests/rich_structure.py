@@ -30,9 +30,10 @@ ADDED = (
     ("torsion", "body", "torsion"),
     *(("frame_torsion", f"bogie {i}", "torsion") for i in (1, 2)),
     ("equipment", "equipment", "z"),
-    *(("floors", f"floor {side}", "z") for side in ("left", "right")),
+    *(("floors", f"floor {side}", "z") for side in ("left", "middle", "right")),
 )
-"""Effects with coordinates of their own: effect, body and name of the motion."""
+"""Effects with coordinates of their own: effect, body and name of the motion; floors are below the
+sensors of the body alone."""
 PARTS = (
     *(
         (f"{kind}_p", side, f"axle{axle}")
@@ -200,11 +201,15 @@ class Structure:
                 for (body, x, z), share in places[name].items()
             )
             found, aside = moved[2], moved[1]
-            # in the middle a sensor is on the beam between both floors
-            if name == "body" and "floors" in self.effects and side != "middle":
+            if name == "body" and "floors" in self.effects:
                 found = self.row[f"floor {side}", "z"]
             rows.append(found + t.of_sensor("cross_axis", sensor) * aside)
         return np.array(rows)
+
+    def _has(self, effect, body):
+        """Return whether the train has an effect, a floor only where there is a sensor."""
+        is_below = body.replace("floor", "body") in self.train.sensors
+        return effect in self.effects and (effect != "floors" or is_below)
 
     def _name_coordinates(self):
         """Give each motion its column of u."""
@@ -213,7 +218,7 @@ class Structure:
         names = [(body, f) for body in ("body", "bogie 1", "bogie 2") for f in FREEDOMS]
         names += [(f"wheelset {i}", f) for i in range(N_WHEELS) for f in moving]
         names += [("body", b) for b in ("bending", "second_bending") if b in self.effects]
-        names += [(one, f) for effect, one, f in ADDED if effect in self.effects]
+        names += [(one, f) for effect, one, f in ADDED if self._has(effect, one)]
         self.names = names
         self.n_u = len(names) + N_WHEELS * self.train.n_processes
         self.row = dict(zip(names, np.eye(self.n_u), strict=False))
@@ -391,10 +396,10 @@ class Structure:
         """Give torsions, equipment and floors their springs and dampers."""
         t, masses = self.train, dict(zip(self.names, self.mass, strict=True))
         places = {"equipment": (t.equipment_x_m, t.equipment_y_m)}
-        for side, sign in (("left", 1.0), ("right", -1.0)):
+        for side, sign in (("left", 1.0), ("middle", 0.0), ("right", -1.0)):
             places[f"floor {side}"] = (t.half_pivot_m, sign * t.sensor_half_m)
         for effect, name, freedom in ADDED:
-            if effect not in self.effects - {"ballast"}:
+            if effect == "ballast" or not self._has(effect, name):
                 continue
             row, mass = self.row[name, freedom], masses[name, freedom]
             if name in places:

@@ -154,7 +154,7 @@ class RichTrain:
     # Twist of the frame, z ~ x y: 5 to 20 % of that of the primary springs below it
     frame_torsion_hz: float = 30.0
     frame_torsion_damping: float = 0.02
-    # Floor on elastic supports below the left and the right sensor: stiff ones amplify 20 to 50 Hz
+    # Floor on elastic supports below each sensor of the body: stiff ones amplify 20 to 50 Hz
     # (Gong et al., J. Tongji Univ. 45, 2017); floating floors, which are meant here, are softer
     floors_kg: float = 40.0
     floors_hz: float = 14.0
