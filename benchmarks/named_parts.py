@@ -31,6 +31,7 @@ from blind_train import COMPONENTS, PAIRS, SIDE_NAMES, Run, Track, Train, record
 
 import suspnet  # noqa: E402
 from suspnet.trains.identification.bogie_trips import PARTS_OF_BOGIE  # noqa: E402
+from suspnet.vehicle.quantities import BOGIE_MASS_DEVIATION  # noqa: E402
 
 RESULTS = TESTS.parent / "benchmarks" / "results"
 FAMILY = PARTS_OF_BOGIE  # as the programs have it
@@ -240,7 +241,8 @@ def commission(family, healthy):
 def rows_of(head, truth, found, mass):
     """Return a row of each part; `mass` is the body's as its healthy trips would have it."""
     values, deviations = np.append(found.values, found.values[-1]), found.deviations
-    truth, deviations = np.append(truth, mass), np.append(deviations, deviations[-1])
+    own = np.sqrt(deviations[-1] ** 2 - BOGIE_MASS_DEVIATION**2)  # without what trips share
+    truth, deviations = np.append(truth, mass), np.append(deviations, own)
     accused = ["+".join(one.names) for one in suspnet.worn_parts(found)]
     rows = []
     for part, true, value, deviation in zip(

@@ -83,6 +83,9 @@ LOAD_DEVIATIONS = {"load_ahead": 0.25, "load_aside": 0.03}
 of the mass, whose own centre scatters by 1.25 m along the car and by .15 m across."""
 MASS_MEAN, MASS_DEVIATION = math.log(1.05), 0.15
 """Prior mean and standard deviation of the logarithm of a trip's car-body mass over nominal."""
+BOGIE_MASS_DEVIATION = 0.04
+"""Standard deviation of the logarithm of a bogie's mass about the drawing's, assumed. Accelerations
+show masses relative to it: the car body's errs by as much, equally on all trips."""
 
 IN_BETWEEN = tuple(
     f"{place}_axle{axle}_middle" for place in ("axle_box", "frame") for axle in (1, 2)

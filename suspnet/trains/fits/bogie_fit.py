@@ -25,7 +25,8 @@ scatter and tau Student's quantile over the normal one: few healthy trips tell l
 diagonal, the square of ``SENSITIVITY`` times the logarithm of the part, or times half the largest
 one: a vehicle that leaves mu_0 > 1 of its healthy trips moves differently with wear, too. Where all
 parts of a kind are read as one, ``SENSITIVITY_OF_KINDS`` is in its place, and the mass is no better
-known than before the trip if mu_0 is large.
+known than before the trip if mu_0 is large. The variance of M_s has that of the bogie's mass, too,
+to which accelerations show it relative; it does not count where trips are compared.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ from suspnet.trains.fits.bogie_search import (
 from suspnet.trains.fits.healthy_scatter import healthy_scatter
 from suspnet.trains.spectra.bogie_trip import BogieTrip, smallest_noise
 from suspnet.vehicle import SpatialVehicle
-from suspnet.vehicle.quantities import MASS_DEVIATION
+from suspnet.vehicle.quantities import BOGIE_MASS_DEVIATION, MASS_DEVIATION
 
 EXPLAINED = 1.15
 """Misfit up to which a bogie is explained: plain trips of five minutes have up to 1.08."""
@@ -156,6 +157,7 @@ def fit_parts(
         covariance = bogie.scatter.student(level) ** 2 * (covariance + beyond)
     names = PARAMETERS if equal else COMPONENTS
     covariance = covariance + law.uncertainty(names, conditions)
+    covariance[-1, -1] += BOGIE_MASS_DEVIATION**2
     return PartsEstimate(np.exp(x[own]), covariance, misfit, end.converged, level, names)
 
 
