@@ -18,7 +18,9 @@ RATE_HZ, MINUTES = 5000, 10
 
 PACKED = {
     ".mat": lambda path, values: savemat(path, {"a": values}, do_compression=True),
-    ".parquet": lambda path, values: pq.write_table(pa.table({"a": values}), path, "zstd"),
+    ".parquet": lambda path, values: pq.write_table(
+        pa.table({"a": values}), path, compression="zstd"
+    ),
 }
 
 
