@@ -28,7 +28,8 @@ from suspnet.ground.types import FloatArray
 from suspnet.learning import MSVR, Scaling
 
 SMALLEST_SHARE = 1e-3
-"""Floor of the absolute residuals as a fraction of their median, since their logarithm is taken."""
+"""Floor of the absolute residuals as a fraction of their median, since their logarithm is taken, or
+of their mean where most are zero."""
 PENALTY = 0.1  # C of the MSVR; small, as the logarithm of a residual scatters by 1.1 about its mean
 N_COMPONENTS = 512
 LARGEST_MISFIT = 3.0
@@ -99,7 +100,10 @@ class ResidualScale:
         `residuals` has the shape (n, n_outputs). Raises ValueError if all of an output are equal.
         """
         sizes = np.abs(residuals)
-        sizes = np.maximum(sizes, SMALLEST_SHARE * np.median(sizes, axis=0))
+        usual = np.median(sizes, axis=0)
+        # a fit of curves that finds which parameters have not changed has no error in these
+        usual = np.where(usual > 0, usual, sizes.mean(axis=0))
+        sizes = np.maximum(sizes, SMALLEST_SHARE * usual)
         scaling = Scaling.of(sizes)
         regression = _learner(inputs.shape[1]).fit(inputs, scaling.apply(sizes))
         return cls(regression, scaling)

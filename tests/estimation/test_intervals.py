@@ -123,11 +123,14 @@ def test_intervals_are_endless_where_so_few_samples_cannot_tell():
     assert np.isposinf(high).all()
 
 
-def test_residuals_of_nothing_are_taken_as_a_share_of_the_median():
+@pytest.mark.parametrize(
+    ("nothing", "typical"), [(np.s_[::7], np.median), (np.s_[:200], np.mean)], ids=["few", "most"]
+)
+def test_residuals_of_nothing_are_taken_as_a_share_of_the_typical_one(nothing, typical):
     inputs, wrong, _ = samples(300, seed=4)
-    wrong[::7] = 0.0
+    wrong[nothing] = 0.0
     raised = wrong.copy()
-    raised[::7] = -SMALLEST_SHARE * np.median(np.abs(wrong), axis=0)
+    raised[nothing] = -SMALLEST_SHARE * typical(np.abs(wrong), axis=0)
     found, expected = (ResidualScale.learnt(inputs, r).predict(inputs) for r in (wrong, raised))
     np.testing.assert_array_equal(found, expected)
     assert (found > 0).all()
