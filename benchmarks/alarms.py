@@ -30,10 +30,10 @@ import numpy as np
 from cells import Parser, at_least
 from scipy.stats import chi2
 from tabulate import tabulate
+from thresholds import autoregressive
 
 from suspnet.trains.maintenance.change import ChangeSettings, find_changes
 from suspnet.trains.maintenance.cusum import N_REFERENCE as REFERENCE
-from suspnet.trains.maintenance.cusum import autoregressive
 
 NAMES = ("k_p", "c_p", "k_s", "c_s")
 SCATTER = np.array([0.0005, 0.005, 0.0006, 0.003])

@@ -11,20 +11,29 @@ import numpy as np
 from cells import Parser, at_least
 from numpy.typing import NDArray
 
-from suspnet.trains.maintenance.cusum import (
-    CLIP,
-    CORRELATION,
-    N_REFERENCE,
-    autoregressive,
-    cusum,
-    residuals,
-)
+from suspnet.ground.types import FloatArray
+from suspnet.trains.maintenance.cusum import CLIP, N_REFERENCE, cusum, residuals
 
+CORRELATION = 0.5
+"""Largest correlation of successive trips for which the thresholds hold: the least favourable one,
+because the trips of a reference do not determine their own well enough."""
 N_MONITORED = 200
 """Number of simulated trips after the reference."""
 HORIZONS = (10, 20, 50, 100, 200)
 """The false-alarm rate holds over each of these numbers of trips after the reference."""
 RATES = np.geomspace(0.01, 1.25e-5, 13)
+
+
+def autoregressive(noise: FloatArray, correlation: float | FloatArray) -> FloatArray:
+    """Return a stationary series of unit variance from white noise e of unit variance.
+
+    y_t = phi y_(t-1) + sqrt(1 - phi^2) e_t along the first axis, and y_0 = e_0.
+    """
+    values = np.array(noise, dtype=float)
+    spread = np.sqrt(1 - np.square(correlation))
+    for t in range(1, len(values)):
+        values[t] = correlation * values[t - 1] + spread * noise[t]
+    return values
 
 
 def false_alarm_rate(peaks: NDArray[np.float32], threshold: float) -> float:

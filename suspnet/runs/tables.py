@@ -39,8 +39,6 @@ PUBLISHED = {
     ("c_s", "rmse"): {"msvr": 0.0739, "svr": 0.0972, "mvgpr": 0.1632, "linear": 0.2073},
 }
 """The figures of the paper's Table VI, for comparison only."""
-PAPER_METHODS = ("msvr", "svr", "mvgpr", "linear")
-"""Methods of Table VI, in its order, which is that of their errors."""
 
 Record = dict[str, Any]
 Row = TypeVar("Row", bound=Mapping[str, Any])

@@ -5,13 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from drifting_series import autoregressive
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import stats
 
 from suspnet.trains.maintenance.change import N_BACK, ChangeSettings, find_changes
-from suspnet.trains.maintenance.cusum import autoregressive, threshold
+from suspnet.trains.maintenance.cusum import threshold
 
 SETTINGS = ChangeSettings(least_percent=0.0)
 NAMES = ("k_p", "c_p", "k_s", "c_s")

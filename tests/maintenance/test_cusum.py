@@ -15,7 +15,6 @@ from suspnet.trains.maintenance.cusum import (
     LEAST_SPREAD,
     MAX_CORRELATION,
     N_REFERENCE,
-    autoregressive,
     cusum,
     residuals,
     threshold,
@@ -41,7 +40,7 @@ RUN_LENGTHS = [
 def histories(n_trips=60, n_series=3, n_covariates=2, seed=0):
     random = np.random.default_rng(seed)
     covariates = random.standard_normal((n_trips, n_series, n_covariates))
-    noise = autoregressive(random.standard_normal((n_trips, n_series)), 0.4)
+    noise = simulated.autoregressive(random.standard_normal((n_trips, n_series)), 0.4)
     return 5 + noise + covariates @ np.array([2.0, -1.0, 0.5])[:n_covariates], covariates
 
 
@@ -115,7 +114,7 @@ def test_residuals_are_those_of_plain_loops(n_covariates):
 
 def test_healthy_residuals_are_about_standard_normal():
     random = np.random.default_rng(1)
-    values = autoregressive(random.standard_normal((40, 3000)), 0.3)
+    values = simulated.autoregressive(random.standard_normal((40, 3000)), 0.3)
     z = residuals(values, np.empty((40, 3000, 0)), N_REFERENCE).standard
     assert np.abs(z.mean(axis=1)).max() < 0.1
     assert 0.95 < z.std() < 1.05
@@ -135,7 +134,7 @@ def test_cusum_is_its_recursion():
 
 
 def test_autoregressive_has_unit_variance_and_its_correlation():
-    mixing = autoregressive(np.eye(12), 0.4)
+    mixing = simulated.autoregressive(np.eye(12), 0.4)
     lags = np.abs(np.subtract.outer(np.arange(12), np.arange(12)))
     np.testing.assert_allclose(mixing @ mixing.T, 0.4**lags, atol=1e-12)
 
@@ -169,7 +168,7 @@ def test_rate_is_first_alarms_over_trips_monitored():
 
 def test_threshold_keeps_the_rate_on_other_histories():
     random = np.random.default_rng(6)
-    values = autoregressive(random.standard_normal((N_REFERENCE + 200, 1000)), 0.5)
+    values = simulated.autoregressive(random.standard_normal((N_REFERENCE + 200, 1000)), 0.5)
     z = residuals(values, np.empty((*values.shape, 0)), N_REFERENCE).standard
     peaks = np.maximum.accumulate(cusum(z).max(axis=0), axis=0)
     rate = 2e-3

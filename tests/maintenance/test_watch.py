@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from drifting_series import autoregressive
 
 from suspnet.ground.findings import parts_of
 from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
 from suspnet.trains.maintenance.alarms import detector_words, watch
 from suspnet.trains.maintenance.change import Changes, ChangeSettings
-from suspnet.trains.maintenance.cusum import autoregressive
 from suspnet.trains.maintenance.judge import level_words
 from suspnet.trains.maintenance.series import Event, make_series
 

@@ -22,9 +22,6 @@ MAX_CORRELATION = 0.6  # largest correlation of successive trips that pre-whiten
 LEAST_SPREAD = 1e-6
 """Least standard deviation of trips, in the unit of the values: anything less is rounding."""
 N_REFERENCE = 20  # number of first trips that form the reference; no change is detected before
-CORRELATION = 0.5
-"""Largest correlation of successive trips for which ``THRESHOLDS`` hold: the least favourable one,
-because the trips of a reference do not determine their own well enough."""
 THRESHOLDS = (
     (0.01, 6.000),
     (0.005729, 6.607),
@@ -40,8 +37,8 @@ THRESHOLDS = (
     (2.182e-05, 21.491),
     (1.25e-05, 23.054),
 )
-"""Rates of false alarms over 10 to 200 trips after the reference and their thresholds, as
-benchmarks/thresholds.py simulates them."""
+"""Rates of false alarms over 10 to 200 trips after the reference and their thresholds, for trips
+whose correlation is up to 0.5, as benchmarks/thresholds.py simulates them."""
 
 
 @dataclass(frozen=True)
@@ -174,18 +171,6 @@ def threshold(rate: ArrayLike) -> FloatArray:
     beyond = np.maximum(-np.log(rates) - rarer[-1], 0.0)
     slope = (limits[-1] - limits[-5]) / (rarer[-1] - rarer[-5])
     return np.asarray(np.interp(-np.log(rates), rarer, limits) + slope * beyond)
-
-
-def autoregressive(noise: FloatArray, correlation: float | FloatArray) -> FloatArray:
-    """Return a stationary series of unit variance from white noise e of unit variance.
-
-    y_t = phi y_(t-1) + sqrt(1 - phi^2) e_t along the first axis, and y_0 = e_0.
-    """
-    values = np.array(noise, dtype=float)
-    spread = np.sqrt(1 - np.square(correlation))
-    for t in range(1, len(values)):
-        values[t] = correlation * values[t - 1] + spread * noise[t]
-    return values
 
 
 def _posterior_mean(lagged: FloatArray, size: FloatArray) -> FloatArray:
