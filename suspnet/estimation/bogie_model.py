@@ -12,7 +12,6 @@ from suspnet.curves.estimates import EstimateSettings
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.estimate import Estimate, HealthyValues
 from suspnet.estimation.fitted import Model
-from suspnet.estimation.suspension_law import SuspensionLaw
 from suspnet.estimation.trained import READS_TRIPS
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import INTERVAL_LEVEL
@@ -51,11 +50,6 @@ class BogieModel(Model):
     def healthy(self) -> HealthyValues:
         """Healthy values of ``COMPONENTS`` in SI units, which estimates are relative to."""
         return self.bogie.healthy
-
-    @property
-    def law(self) -> SuspensionLaw | None:
-        """How damping depends on the temperature; None if no healthy trip's is known."""
-        return self.bogie.law
 
     def estimate(
         self,

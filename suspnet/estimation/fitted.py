@@ -14,7 +14,6 @@ from suspnet.estimation.estimate import Flags, HealthyValues
 from suspnet.estimation.flags import OODDetector
 from suspnet.estimation.intervals import Intervals
 from suspnet.estimation.refine import Refined
-from suspnet.estimation.suspension_law import SuspensionLaw
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.learning import Scaling
 from suspnet.learning.metrics import check_estimates
@@ -59,11 +58,6 @@ class Model:
     def healthy(self) -> HealthyValues:
         """Values of the healthy vehicle in SI units, which estimates are relative to."""
         raise NotImplementedError
-
-    @property
-    def law(self) -> SuspensionLaw | None:
-        """How damping depends on the temperature; None if unknown."""
-        return None
 
 
 @dataclass(frozen=True)

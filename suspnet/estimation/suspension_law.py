@@ -13,9 +13,9 @@ T_0 and v_0, and the uncertainty of b and a widens their intervals with the dist
 Only a vehicle with the part nonlinear_dampers has a.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -53,8 +53,6 @@ USUAL = np.array([slope.mean for slope in SLOPES])
 DEVIATIONS = np.array([slope.deviation for slope in SLOPES])
 N_OF_TEMPERATURE = sum(slope.condition == CONDITIONS[0] for slope in SLOPES)
 """Number of slopes of the temperature, which are the first."""
-NOTE = "suspension_law"
-"""Key of the law in the notes of a commissioning."""
 
 
 def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
@@ -76,7 +74,7 @@ class SuspensionLaw:
 
     def __post_init__(self) -> None:
         if self.healthy_c is not None:
-            check_number(f"{NOTE}.healthy_c", self.healthy_c)
+            check_number("law.healthy_c", self.healthy_c)
         rows = tuple(tuple(row) for row in self.covariance)
         for name, values, n in (
             ("healthy_m_per_s", tuple(self.healthy_m_per_s), 2),
@@ -84,10 +82,10 @@ class SuspensionLaw:
             ("covariance", sum(rows, ()), len(SLOPES) ** 2),
         ):
             if len(values) != n:
-                raise ValueError(f"`{NOTE}.{name}` must be {n} numbers, got {values}")
+                raise ValueError(f"`law.{name}` must be {n} numbers, got {values}")
             for value in values:
                 if value is not None or name != "healthy_m_per_s":
-                    check_number(f"{NOTE}.{name}", value)
+                    check_number(f"law.{name}", value)
         object.__setattr__(self, "healthy_m_per_s", tuple(self.healthy_m_per_s))
         object.__setattr__(self, "slopes", tuple(self.slopes))
         object.__setattr__(self, "covariance", rows)
@@ -128,12 +126,6 @@ class SuspensionLaw:
             float(np.mean(known)) if known else None,
             tuple(speed if np.isfinite(speed) else None for speed in speeds),
         )
-
-    @classmethod
-    def noted(cls, training: Mapping[str, Any]) -> Self | None:
-        """Return the law from the record of a model's training; None if it has none."""
-        note = training.get("commissioned", {}).get(NOTE)
-        return cls(**note) if note else None
 
     def fitted(self, slopes: FloatArray, covariance: FloatArray) -> Self | None:
         """Return the law with its first slopes as fitted, the others 0, in deviations of the prior.

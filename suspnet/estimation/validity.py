@@ -14,7 +14,6 @@ from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.problem import Problem
 from suspnet.estimation.bogie_model import BogieModel
 from suspnet.estimation.commissioned_bogie import HealthyScatter
-from suspnet.estimation.suspension_law import SuspensionLaw
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground.parameters import PARAMETERS
@@ -217,7 +216,6 @@ def _check_training(training: Any) -> None:
     if not all(isinstance(name, str) for name in healthy.get("trips", [])):
         raise TypeError("`training.commissioned.trips` must be names")
     _check_place(healthy.get("place"))
-    SuspensionLaw.noted(training)  # its numbers are checked
 
 
 def _check_place(place: Any) -> None:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from suspnet.estimation.suspension_law import NOTE, SLOPES, SuspensionLaw, follows
+from suspnet.estimation.suspension_law import SLOPES, SuspensionLaw, follows
 from suspnet.ground.parameters import COMPONENTS, kind_of
 
 UNKNOWN = np.full(2, np.nan)
@@ -15,11 +15,6 @@ def by_condition(warmer, primary, secondary):
     """Return the condition of each slope."""
     of = {"temperature": warmer, "primary speed": primary, "secondary speed": secondary}
     return [of[slope.condition] for slope in SLOPES]
-
-
-def test_no_law_is_noted_where_there_is_none():
-    assert SuspensionLaw.noted({"commissioned": {"n_trips": 3}}) is None
-    assert SuspensionLaw.noted({"seed": 0}) is None
 
 
 def test_what_is_unknown_counts_as_the_mean():
@@ -86,4 +81,4 @@ def test_parts_of_the_other_bogie_follow_as_well():
 )
 def test_a_law_that_cannot_be_is_refused(note, message):
     with pytest.raises(ValueError, match=message):
-        SuspensionLaw.noted({"commissioned": {NOTE: note}})
+        SuspensionLaw(**note)

@@ -22,12 +22,18 @@ from commissioned_example import (
 from vehicles import AM96
 
 from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScatter
-from suspnet.estimation.suspension_law import NOTE, SuspensionLaw
+from suspnet.estimation.suspension_law import SuspensionLaw
 from suspnet.runs.language import speaking
 from suspnet.trains.fits.explained_trips import explained_trips
 from suspnet.trains.identification import commissioning_summary as words
 from suspnet.trains.identification.bogie_trips import PARTS_OF_BOGIE
-from suspnet.trains.pages.commissioning_page import amplified, links, training_notes, write_outcome
+from suspnet.trains.pages.commissioning_page import (
+    amplified,
+    as_json,
+    links,
+    training_notes,
+    write_outcome,
+)
 from suspnet.vehicle import SpatialVehicle
 from suspnet.vehicle.quantities import QUANTITIES
 
@@ -150,15 +156,15 @@ def test_sensors_of_one_end_alone_show_no_suspension():
     np.testing.assert_array_equal(both, [[0.5, 0.5, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
 
-def test_notes_hold_the_law_of_damping_over_temperature(commissioned):
+def test_page_holds_the_law_of_damping_over_temperature(commissioned):
     found, outcome = commissioned
     deviations = 0.002, 0.0003, 0.05, 0.1, 0.01, 0.01, 0.2
     covariance = tuple(map(tuple, np.diag(np.square(deviations)).tolist()))
     law = SuspensionLaw(12.0, (0.1, 0.2), (-0.004, -0.0051, -0.3, 0.1, 0, 0, -1), covariance)
     warm = replace(outcome, bogie=replace(outcome.bogie, law=law))
-    notes = json.loads(json.dumps(training_notes(found, warm)))
-    assert SuspensionLaw.noted({"commissioned": notes}) == law
-    assert NOTE not in training_notes(found, outcome)
+    written = json.loads(json.dumps(as_json(found, warm, [1.0] * len(found.of_parts))))
+    assert SuspensionLaw(**written["suspension_law"]) == law
+    assert "suspension_law" not in as_json(found, outcome, [1.0] * len(found.of_parts))
     text = " ".join(words.reference(warm))
     assert text.endswith(
         "Damping is compared at 12 °C, their mean temperature; per kelvin c_p 0.40 ± 0.2 % and "

@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 
 from suspnet._version import __version__
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
-from suspnet.estimation.suspension_law import NOTE
 from suspnet.ground.findings import Finding, together
 from suspnet.ground.storage import printable, write_atomically, write_json
 from suspnet.ground.types import FloatArray
@@ -77,7 +76,7 @@ def training_notes(healthy: HealthyTrips, outcome: Commissioned) -> dict[str, An
     bogie = outcome.bogie
     place = asdict(healthy.manifests[0].place)
     mileage_km = [manifest.mileage_km for manifest in healthy.manifests]
-    return ({} if bogie.law is None else {NOTE: asdict(bogie.law)}) | {
+    return {
         "n_trips": len(healthy.manifests),
         "misfit": bogie.misfit,
         "explained": bogie.misfit <= EXPLAINED,
@@ -107,6 +106,7 @@ def as_json(
         "reach": words.reach_of_parts(bogie),
         "threshold": EXPLAINED,
         **training_notes(healthy, outcome),
+        **({} if bogie.law is None else {"suspension_law": asdict(bogie.law)}),
         "trips": _trips(healthy, outcome, misfits),
         "left_out": list(healthy.left_out),
         "bogie_mass_kg": generator.vehicle.bogie_mass_kg,

@@ -72,7 +72,7 @@ def healthy_words(model: Model) -> str:
     if kilometres(first) != kilometres(last):
         ends = {"low": thousands(first), "high": kilometres(last)}
         showed = Finding("showed-between", trips=trips, **ends)
-    law = model.law
+    law = model.bogie.law if isinstance(model, BogieModel) else None
     at = Finding("damping-at", celsius=law.healthy_c) if law and law.healthy_c is not None else ""
     return together((showed, at), ", ")
 
