@@ -7,12 +7,15 @@ the raw points around it by least squares.
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Literal, get_args
 
+import numpy as np
 import torch
 from numpy.typing import ArrayLike
+from scipy.signal import peak_widths
 from torch import Tensor
 from torch.nn.functional import avg_pool1d
 
@@ -245,40 +248,19 @@ def _fit_top(curves: SmoothedCurves, centre: Tensor, fit: PeakFit) -> tuple[_Top
 
 
 def _half_prominence(curves: SmoothedCurves, centre: Tensor) -> _Top:
-    """Return bin, value and width at half prominence of the smoothed curves' maxima.
-
-    The prominence is the height over the higher of the two bases; a base is the lowest point
-    between the maximum and the next higher one, or the end of the curve. The width is the distance
-    of the two points at which the curve, linear between bins, first falls to half the prominence.
-    """
+    """Return bin, value and width at half prominence of the smoothed curves' maxima."""
     bins, values = curves.frequencies_hz, curves.smoothed
-    n_freq = len(bins)
-    order = torch.arange(n_freq, device=values.device).expand_as(values)
     peak = torch.searchsorted(bins, centre)[:, None]
-    height = values.gather(1, peak)
-    before, after = order < peak, order > peak
-    higher = values > height
-    # bases end at the next higher point on each side, or at the end of the curve
-    left_end = torch.where(higher & before, order, -1).amax(dim=1, keepdim=True)
-    right_end = torch.where(higher & after, order, n_freq).amin(dim=1, keepdim=True)
-    bases = [
-        torch.where(side, values, math.inf).amin(dim=1, keepdim=True)
-        for side in (before & (order > left_end), after & (order < right_end))
-    ]
-    level = (height + torch.maximum(*bases)) / 2
-    # from the maximum outwards, the first bins at or below half the prominence
-    below = values <= level
-    left = torch.where(below & before, order, -1).amax(dim=1, keepdim=True)
-    right = torch.where(below & after, order, n_freq).amin(dim=1, keepdim=True)
-    crossings = []
-    for outer, inwards in ((left.clamp(min=0), 1), (right.clamp(max=n_freq - 1), -1)):
-        inner = (outer + inwards).clamp(0, n_freq - 1)
-        low, high = values.gather(1, outer), values.gather(1, inner)
-        share = (level - low) / (high - low)
-        crossings.append(torch.lerp(bins[outer], bins[inner], share))
-    width = (crossings[1] - crossings[0])[:, 0]
-    has_maximum = ((left >= 0) & (right < n_freq))[:, 0]
-    return _Top(bins[peak[:, 0]], height[:, 0], width, has_maximum)
+    # one long curve for SciPy: infinite points between them end the bases as the ends do
+    rows = np.pad(values.cpu().numpy(), ((0, 0), (0, 1)), constant_values=math.inf)
+    places = np.arange(len(rows)) * rows.shape[1] + peak[:, 0].cpu().numpy()
+    with warnings.catch_warnings():
+        # a maximum at an end has no prominence, and is left out later
+        warnings.simplefilter("ignore", RuntimeWarning)
+        n_steps = peak_widths(rows.ravel(), places, rel_height=0.5)[0]
+    width = torch.as_tensor(n_steps).to(values) * (bins[1] - bins[0])
+    has_maximum = torch.ones_like(width, dtype=torch.bool)
+    return _Top(bins[peak[:, 0]], values.gather(1, peak)[:, 0], width, has_maximum)
 
 
 @dataclass(frozen=True)
