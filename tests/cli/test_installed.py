@@ -21,7 +21,7 @@ PLAIN_PROGRAMS = ("suspnet", "suspnet-check", "suspnet-init")
 TINY = ["model=linear", "data.n_train=200", "data.n_test=50", "data.n_calibrate=null"]
 
 
-def ran(command, cwd, **variables):
+def ran(command, cwd, expected=0, **variables):
     done = subprocess.run(
         [str(part) for part in command],
         cwd=cwd,
@@ -31,7 +31,7 @@ def ran(command, cwd, **variables):
         timeout=100,
         check=False,
     )
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == expected, done.stderr
     return done.stdout
 
 
@@ -54,8 +54,8 @@ def program(built, tmp_path_factory):
     options = ["--quiet", "--no-deps", "--no-index", "--no-compile", "--target", site]
     ran([sys.executable, "-m", "pip", "install", *options, wheel], site)
 
-    def run(name, *arguments, cwd):
-        return ran([site / "bin" / name, *arguments], cwd, PYTHONPATH=str(site))
+    def run(name, *arguments, **options):
+        return ran([site / "bin" / name, *arguments], PYTHONPATH=str(site), **options)
 
     where = "import suspnet.cli.config_files as c; print(c.CONFIGS)"
     found = ran([sys.executable, "-c", where], site, PYTHONPATH=str(site))
@@ -105,5 +105,7 @@ def test_installed_programs_work_from_an_empty_folder(program, tmp_path):
     assert "1 trips of scenario" in program("suspnet-simulate", *short, cwd=tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"outputs", "trips"}
     data = next(tmp_path.glob("trips/*/*/body.parquet"))
-    assert "fill in: vehicle" in program("suspnet-init", data, cwd=tmp_path)
+    asked = program("suspnet-init", data, "-o", "new.yaml", cwd=tmp_path, expected=1)
+    assert "nothing is written yet; these are missing:\n  vehicle" in asked
+    assert "fill in each ???" in program("suspnet-init", "--vehicle", "mine", cwd=tmp_path)
     assert "exit code" in program("suspnet-check", "--help", cwd=tmp_path)
