@@ -84,11 +84,10 @@ def commissioned_example():
     )
     found = HealthyTrips(
         tuple(trip(f"trip_{i}", 12345.0 * (i + 1)) for i in range(3)),
-        (),
-        (True, True, True),
-        ("trip_9: no stretch at one speed",),
         before,
         trips,
+        (True, True, True),
+        left_out=("trip_9: no stretch at one speed",),
     )
     noise = torch.full((len(vehicle.sensors),), NOISE, dtype=torch.float64)
     bogie = CommissionedBogie(vehicle, noise, np.array(MASSES), 1.02, True)

@@ -150,7 +150,7 @@ def _commissioned(
         n_first=config.n_healthy,
         progress=config.progress,
     )
-    if generator.parts and healthy.vehicle is not None and healthy.vehicle.shows_parts:
+    if generator.parts and healthy.vehicle.shows_parts:
         log.warning(
             "without effect, as the sensors show each part: generator.parts=[%s]",
             ",".join(generator.parts),

@@ -129,7 +129,7 @@ def test_search_that_did_not_end_is_told(short, monkeypatch, caplog, converged):
     bogie = CommissionedBogie(VEHICLE, torch.ones(6), np.ones(3), 1.0, converged)
     monkeypatch.setattr(commissioning, "commission_bogie", lambda *_, **__: bogie)
     trips = (bogie_trip(short, VEHICLE),) * 3
-    healthy = HealthyTrips((short.manifest,) * 3, (), (True,) * 3, vehicle=VEHICLE, of_parts=trips)
+    healthy = HealthyTrips((short.manifest,) * 3, VEHICLE, trips, (True,) * 3)
     with caplog.at_level("WARNING"):
         found = commission_parts(healthy, TripSettings())
     assert found is bogie

@@ -10,7 +10,6 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 from dying_readers import open_dying
-from scipy.signal import csd
 from trip_fixtures import RATES_HZ, SPEED, changed, signal, small_fleet
 from vehicles import AM96
 
@@ -22,9 +21,7 @@ from suspnet.trains.identification.healthy_trips import read_healthy
 from suspnet.trains.jobs.commissioning import prior_of
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.formats import READERS
-from suspnet.trains.recordings.manifest_files import read_manifest
 from suspnet.trains.recordings.reader_process import in_own_process
-from suspnet.trains.recordings.recording import load_recording
 from suspnet.vehicle import VerticalVehicle
 
 pytestmark = pytest.mark.usefixtures("healthy_trips_read_once")
@@ -116,21 +113,6 @@ def test_a_trip_that_shows_its_parts_without_a_sensor_only_is_left_out(
         "fourth: 0.0 minutes at one speed, 9.0 are needed",
         "second: no stretch with all sensors at one speed is long enough to read each part: ",
     ]
-    assert [one.trip for one in found.groups] == [0, 1, 2]
-
-
-def test_spectra_are_those_of_the_whole_trip(folder):
-    found = read(folder)
-    recording = load_recording(read_manifest(folder / "third.yaml"), 100.0)
-    spectra = found.groups[0].spectra
-    at = np.round(SETTINGS.frequencies_hz().numpy() * SETTINGS.segment_s).astype(int)
-    for column, (x, y) in enumerate(((0, 1), (0, 2), (1, 2))):
-        pair = recording.signals[x], recording.signals[y]
-        options = {"nperseg": 2000, "noverlap": 1000, "detrend": False}
-        _, expected = csd(*pair, fs=100.0, window="hann", **options)
-        scale = np.abs(expected[at])
-        actual = spectra.cross[column].numpy() / scale
-        np.testing.assert_allclose(actual, expected[at] / scale, atol=1e-6)
 
 
 # properties
@@ -139,9 +121,8 @@ def test_spectra_are_those_of_the_whole_trip(folder):
 def test_trips_come_by_mileage_each_with_its_speed(folder):
     found = read(folder)
     assert [manifest.name for manifest in found.manifests] == NAMES[::-1]
-    assert [group.name for group in found.groups] == NAMES[::-1]
-    assert [group.trip for group in found.groups] == [0, 1, 2]
-    np.testing.assert_allclose([group.speed_m_per_s for group in found.groups], SPEED, rtol=1e-9)
+    np.testing.assert_allclose(found.speeds_m_per_s, SPEED, rtol=1e-9)
+    assert not found.absent
     assert found.paired == (False, False, False)
     assert found.left_out == ()
 
@@ -152,15 +133,10 @@ def test_first_trips_by_mileage_are_taken(folder):
     assert [one.name for one in read(folder, n_first=3).manifests] == NAMES[::-1]
 
 
-def test_stretches_at_several_speeds_are_groups_of_one_trip(folder, manifests):
-    part = {"speed": speeds(manifests[0], 60.0, 70.0)}
+def test_a_trip_at_two_speeds_is_read_at_the_one_of_the_longer_stretch(folder, manifests):
+    part = {"speed": speeds(manifests[0], 60.0, 70.0, 70.0)}
     changed(folder / "third.yaml", folder, "third", signals=part)
-    found = read(folder)
-    assert [group.trip for group in found.groups] == [0, 0, 1, 2]
-    np.testing.assert_allclose([g.speed_m_per_s for g in found.groups[:2]], [60.0, 70.0])
-    one, other = (group.spectra.n_averages for group in found.groups[:2])
-    whole = found.groups[2].spectra.n_averages
-    assert 0.8 * whole < one + other < whole
+    np.testing.assert_allclose(read(folder).speeds_m_per_s, [70.0, SPEED, SPEED])
 
 
 def test_pairs_of_sensors_are_seen_as_such(folder):
@@ -174,7 +150,7 @@ def test_a_trip_without_a_steady_stretch_is_left_out_and_named(folder, manifests
     changed(folder / "first.yaml", folder, "sweep", signals={"speed": sweep})
     found = read(folder)
     assert [manifest.name for manifest in found.manifests] == NAMES[::-1]
-    assert {group.trip for group in found.groups} == {0, 1, 2}
+    assert len(found.of_parts) == 3
     assert found.left_out == ("sweep: no stretch at one speed is long enough and free of faults",)
 
 

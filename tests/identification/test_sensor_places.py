@@ -83,7 +83,7 @@ def test_healthy_trips_of_a_foreign_train_name_the_place(frame_sensor):
     settings = EstimateSettings(minutes=10.0).bound(vehicle)
     generator = VerticalVehicle(vehicle, frame_sensor=frame_sensor)
     found = read_healthy(TTB2D, generator, settings, TripSettings(), n_first=3)
-    assert [one.direction for one in found.groups] == ["forward"] * 3  # not "in reverse"
+    assert [one.direction for one in found.of_parts] == ["forward"] * 3  # not "in reverse"
     if frame_sensor == "centre":
         assert not found.doubts
         return

@@ -59,7 +59,7 @@ def healthy(folder):
 def test_its_vehicle_of_equal_sides_is_that_of_its_parts(tmp_path):
     trips(tmp_path)
     found = healthy(tmp_path)
-    assert found.groups == ()
+    assert found.absent
     assert {trip.direction for trip in found.of_parts} == {"forward"}
     assert found.speeds_m_per_s == pytest.approx([70.0] * 3)
     masses = np.array([1.0, 1.1, 1.2])

@@ -96,11 +96,11 @@ def test_healthy_trips_have_their_direction_said_or_not(both_ways, tmp_path):
     settings = EstimateSettings(rates_hz=RATES_HZ, minutes=5.0).bound(AM96)
     said = read_healthy(both_ways[0].parent, VerticalVehicle(AM96), settings, SETTINGS)
     expected = ["forward", "reverse", "forward", "reverse"]
-    assert [group.direction for group in said.groups] == expected
+    assert [trip.direction for trip in said.of_parts] == expected
     for i, path in enumerate(both_ways):
         changed(path, tmp_path, f"trip_{i}", direction=None)
     found = read_healthy(tmp_path, VerticalVehicle(AM96), settings, SETTINGS)
-    assert [group.direction for group in found.groups] == expected
+    assert [trip.direction for trip in found.of_parts] == expected
 
 
 # failure

@@ -1,4 +1,4 @@
-"""Healthy trips of a folder: their spectra at each speed, and their matrices for each part."""
+"""Healthy trips of a folder, as a commissioning reads them."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -32,27 +32,27 @@ from suspnet.vehicle import SpatialVehicle, VerticalVehicle
 
 @dataclass(frozen=True, repr=False)
 class HealthyTrips(ShortRepr):
-    """Spectra of the healthy trips of one suspension.
+    """Healthy trips of one suspension.
 
-    `manifests` are those of the trips in use; `paired` tells which of axle box, frame and body have
-    a sensor left and right; `left_out` are trips without a usable stretch, with the reason.
-    `vehicle` is the one with the parts that the sensors show, and `of_parts` are the trips as it
-    reads them; `groups` are empty if a channel has no sensor at axle 1.
-    `doubts` are sentences on sensors that look to be elsewhere, and on the direction of travel.
+    `manifests` are those of the trips in use; `vehicle` is the one with the parts that the sensors
+    show, and `of_parts` are the trips as it reads them. `paired` tells which of axle box, frame and
+    body have a sensor left and right, `absent` whether one of them has none at axle 1. `left_out`
+    are trips without a usable stretch, with the reason; `doubts` are sentences on sensors that look
+    to be elsewhere, and on the direction of travel.
     """
 
     manifests: tuple[TripManifest, ...]
-    groups: tuple[HealthySpectra, ...]
+    vehicle: SpatialVehicle
+    of_parts: tuple[BogieTrip, ...]
     paired: tuple[bool, bool, bool]
+    absent: bool = False
     left_out: tuple[str, ...] = ()
-    vehicle: SpatialVehicle | None = None
-    of_parts: tuple[BogieTrip, ...] = ()
     doubts: tuple[str, ...] = ()
 
     @property
     def speeds_m_per_s(self) -> tuple[float, ...]:
         """Speeds of the stretches in use, [m/s]."""
-        return tuple(stretch.speed_m_per_s for stretch in self.groups or self.of_parts)
+        return tuple(trip.speed_m_per_s for trip in self.of_parts)
 
 
 @threads(1)  # spectra are products of many small matrices
@@ -66,7 +66,7 @@ def read_healthy(
     n_first: int | None = None,
     progress: bool = False,
 ) -> HealthyTrips:
-    """Return the spectra of a folder's healthy trips, and matrices where they show each part.
+    """Return a folder's healthy trips.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def read_healthy(
     left_out = []
     for manifest in bar("healthy trips", items=manifests, unit="trip", shown=progress):
         try:
-            usable.append(_read_one(manifest, len(usable), generator, vehicle, settings, trips))
+            usable.append(_read_one(manifest, generator, vehicle, settings, trips))
         except NoEstimateError as reason:
             left_out.append(of(manifest.name, str(reason)))
     # the remaining trips must be enough, and of the same sensors
@@ -114,76 +114,69 @@ def read_healthy(
     paired = {trip.paired for trip in usable}
     if len(paired) > 1:
         raise TripError(at(folder, "pairs-and-single-sensors"))
-    groups = tuple(group for trip in usable for group in trip.groups)
+    assert vehicle is not None  # else a trip that lacks a channel was refused
     return HealthyTrips(
         tuple(trip.manifest for trip in usable),
-        groups if all(trip.groups for trip in usable) else (),
-        paired.pop(),
-        tuple(left_out),
         vehicle,
-        tuple(trip.of_parts for trip in usable if trip.of_parts is not None),
-        tuple(_doubts(usable, groups, generator)),
+        tuple(trip.of_parts for trip in usable),
+        paired.pop(),
+        any(trip.absent for trip in usable),
+        tuple(left_out),
+        tuple(_doubts(usable, generator)),
     )
 
 
 @dataclass(frozen=True)
 class _ReadTrip:
-    """A healthy trip: its spectra at each speed, none without a sensor of some channel at axle 1.
+    """A healthy trip; `paired` and `absent` are as in ``HealthyTrips``.
 
     `elsewhere` is where its sensors look to be, None where the manifest says; `of_parts` is the
-    trip as its parts are read, None if they are not.
+    trip as its parts are read.
     """
 
     manifest: TripManifest
     paired: tuple[bool, bool, bool]
-    groups: tuple[HealthySpectra, ...]
+    absent: bool
     elsewhere: Elsewhere | None
-    of_parts: BogieTrip | None
+    of_parts: BogieTrip
 
 
 def _read_one(
     manifest: TripManifest,
-    number: int,
     generator: VerticalVehicle,
     vehicle: SpatialVehicle | None,
     settings: EstimateSettings,
     trips: TripSettings,
 ) -> _ReadTrip:
-    """Return trip `number` of the healthy ones; NoEstimateError if it has no usable stretch."""
+    """Return a healthy trip; NoEstimateError if it has no usable stretch."""
     recording = load_recording(manifest, trips.rate_hz)
     if recording.dead:
         faults = [str(fault) for fault in recording.faults if fault.channel in recording.dead]
         raise NoEstimateError(together(faults, ": "))
-    if recording.absent and vehicle is None:
+    if vehicle is None:
         raise TripError(of(manifest.path, no_channel(recording)))
     segments = recording_segments(recording, settings.welch)
-    groups: list[HealthySpectra] = []
-    other = None
+    spectra = other = None
     if not recording.absent:
-        groups = _spectra(recording, segments, number, settings, trips)
-        if groups and trips.check_channels:
-            other = elsewhere(generator, settings, groups[0], manifest.direction)
+        spectra = _spectra(recording, segments, settings, trips)
+        if spectra is not None and trips.check_channels:
+            other = elsewhere(generator, settings, spectra, manifest.direction)
     # phases show the direction only with the sensors in their places
     placed = generator if other is None else other.best.vehicle
     direction = direction_of(recording, segments, placed, trips)
-    if not groups and not recording.absent:
+    if spectra is None and not recording.absent:
         reason = together((Finding("no-steady-stretch"), unrepaired_words(recording)), ": ")
         raise NoEstimateError(reason)
-    of_parts = None
-    if vehicle is not None:
-        of_parts = trip_of_all_sensors(recording, vehicle, trips, direction)
     return _ReadTrip(
         replace(manifest, start=manifest.start or recording.started),
         recording.paired,
-        tuple(replace(group, direction=direction) for group in groups),
+        bool(recording.absent),
         other,
-        of_parts,
+        trip_of_all_sensors(recording, vehicle, trips, direction),
     )
 
 
-def _doubts(
-    trips: Sequence[_ReadTrip], groups: Sequence[HealthySpectra], generator: VerticalVehicle
-) -> list[str]:
+def _doubts(trips: Sequence[_ReadTrip], generator: VerticalVehicle) -> list[str]:
     """Return sentences on trips that look measured elsewhere, and on trips all run in reverse."""
     doubts: list[str] = []
     others = [trip.elsewhere for trip in trips if trip.elsewhere is not None]
@@ -193,8 +186,8 @@ def _doubts(
             doubts.append(
                 Finding("on-some-healthy-trips", n=n, n_others=len(trips), first=str(first))
             )
-    is_reverse = bool(groups) and all(group.direction == REVERSE for group in groups)
-    if is_reverse and all(trip.manifest.direction is None for trip in trips):
+    is_shown = all(trip.manifest.direction is None for trip in trips)
+    if is_shown and all(trip.of_parts.direction == REVERSE for trip in trips):
         doubts.append(
             Finding(
                 "all-in-reverse",
@@ -247,26 +240,15 @@ def trip_of_all_sensors(
 
 
 def _spectra(
-    recording: Recording,
-    segments: SegmentSpectra,
-    trip: int,
-    settings: EstimateSettings,
-    trips: TripSettings,
-) -> list[HealthySpectra]:
+    recording: Recording, segments: SegmentSpectra, settings: EstimateSettings, trips: TripSettings
+) -> HealthySpectra | None:
+    """Return the spectra of a trip's largest usable stretch at one speed, if there is any."""
     if not len(segments.values):
-        return []
+        return None
     speeds = segment_speeds(recording, segments)
     groups = groups_to_read(speeds, trips.speed_tolerance, trips.min_speed_m_per_s)
-    manifest = recording.manifest
-    # uncertain groups are included, as the fit of the vehicle weights each by its noise
-    return [
-        HealthySpectra(
-            trip,
-            manifest.name,
-            Speeds.of(*part.speed),
-            part.spectra,
-            left_out=part.left_out,
-        )
-        for part in steady(segments, speeds, groups, settings, trips, wheel_lines(recording))
-        if part.spectra is not None and part.has_enough
-    ]
+    for part in steady(segments, speeds, groups, settings, trips, wheel_lines(recording)):
+        if part.spectra is not None and part.has_enough:
+            name, speed = recording.manifest.name, Speeds.of(*part.speed)
+            return HealthySpectra(0, name, speed, part.spectra, left_out=part.left_out)
+    return None

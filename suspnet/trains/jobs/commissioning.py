@@ -53,7 +53,6 @@ def commission_parts(healthy: HealthyTrips, trips: TripSettings) -> Commissioned
     other bogie.
     """
     vehicle = healthy.vehicle
-    assert vehicle is not None
     folder = healthy.manifests[0].path.parent
     for doubt in healthy.doubts:  # before the search, which takes minutes
         log.warning("%s", doubt)

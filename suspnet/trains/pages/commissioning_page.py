@@ -133,7 +133,7 @@ def _page_values(
         Finding("left-and-right" if pair else "one-sensor", channel=channel.replace("_", " "))
         for channel, pair in zip(CHANNELS, healthy.paired, strict=True)
     ]
-    if not healthy.groups and healthy.vehicle is not None and healthy.vehicle.sensors:
+    if healthy.absent and healthy.vehicle.sensors:
         sensors = [place.replace("_", " ") for place in healthy.vehicle.sensors]
     return {
         "title": spoken(Finding("commissioning", name=vehicle.name)),
