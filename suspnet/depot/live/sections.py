@@ -225,16 +225,12 @@ class Sections:
             self._open[key] = _Open(section)
             self._drop()
         for entry in self._open.values():
-            has_passed = piece.time_ns >= self._over_ns(entry)
+            has_passed = piece.time_ns >= self._end_ns(entry) + self._late_ns
             entry.after[piece.sensor] = entry.after[piece.sensor] + 1 if has_passed else 0
         if piece.sensor == "speed":
             self._standing.take(piece)
             needed_ns = 2 * (self._pause_ns + self._late_ns) + TRIED_NS
             self._standing.forget(piece.time_ns - needed_ns)
-
-    def _over_ns(self, entry: _Open) -> int:
-        """Return the time after which frames show that a section has ended."""
-        return self._end_ns(entry) + self._late_ns
 
     def _drop(self) -> None:
         """If too many sections are open, drop the one with the fewest frames, the latest of these.

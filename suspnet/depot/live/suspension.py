@@ -13,7 +13,6 @@ from suspnet.depot.live.operating_conditions import SlowValues
 from suspnet.depot.live.sections import LiveSettings, Sections
 from suspnet.estimation.fitted import Model
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.ground.findings import at
 from suspnet.ground.records import TripResult
 from suspnet.trains.jobs.fleet import FleetSettings
 from suspnet.trains.recordings.dates import EPOCH, SECOND_NS
@@ -185,7 +184,7 @@ def read_suspensions(
         settings.limits_of(own_models)
         if (vehicle := own_models[0].vehicle.name) != manifest.vehicle:
             names = {"vehicle": repr(manifest.vehicle), "vehicle2": repr(vehicle)}
-            raise TripError(at(manifest.path, "stream-of-other-vehicle", **names))
+            raise TripError.at(manifest.path, "stream-of-other-vehicle", **names)
         # a train runs both ways: the direction of that trip is not that of the next
         manifest = replace(manifest, direction=None)
         suspensions.append(LiveSuspension(manifest, own_models, settings.trips, live))

@@ -17,7 +17,7 @@ from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.flags import BOGIE_NOT_CONVERGED
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.ground.findings import Finding, at, together
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import FORWARD, Direction
 from suspnet.trains.fits.bogie_fit import fit_parts
 from suspnet.trains.fits.worn_parts import worn_parts
@@ -87,7 +87,7 @@ def bogie_vehicle(
         if not all(len({place.split("_")[0] for place in of_trip}) == 3 for of_trip in places):
             return None
     if len(set(places)) > 1:
-        raise TripError(at(manifests[0].path.parent, "sensors-differ-healthy"))
+        raise TripError.at(manifests[0].path.parent, "sensors-differ-healthy")
     lateral_m = [abs(lateral_m) or 1.0 for lateral_m in generator.sensor_lateral_m]
     vehicle = SpatialVehicle(
         generator.vehicle,

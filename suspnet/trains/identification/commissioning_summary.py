@@ -285,11 +285,6 @@ def untold(uncertain: Sequence[Number]) -> str:
     )
 
 
-def force_scale(bogie_mass_kg: float) -> str:
-    """Return a sentence on the scale of all forces, which trips cannot determine."""
-    return Finding("force-scale", bogie_mass_kg=bogie_mass_kg)
-
-
 def spoken(number: Number) -> str:
     """Return a number as commissioned with its uncertainty and unit."""
     scale, unit = _unit(number)

@@ -6,7 +6,7 @@ from dataclasses import replace
 from suspnet.curves.welch import SegmentSpectra
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.ground.findings import Finding, at, together
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import FORWARD, Direction, direction_words
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.recording import Recording
@@ -59,12 +59,10 @@ def direction_of(
     if recording.manifest.direction or generator.speed_m_per_s is None or not len(segments.values):
         return recording.manifest.direction or FORWARD
     if recording.absent:
-        raise TripError(
-            at(
-                recording.manifest.path,
-                "no-direction-without-sensor",
-                absent=together(recording.absent, " and "),
-            )
+        raise TripError.at(
+            recording.manifest.path,
+            "no-direction-without-sensor",
+            absent=together(recording.absent, " and "),
         )
     speeds = segment_speeds(recording, segments)
     groups = groups_to_read(speeds, settings.speed_tolerance, settings.min_speed_m_per_s)
@@ -74,12 +72,10 @@ def direction_of(
     spectra = segments.average(groups[0])
     direction, factor = shown_direction(spectra, segments.frequencies_hz, at_speed)
     if factor < DIRECTION_MARGIN:
-        raise TripError(
-            at(
-                recording.manifest.path,
-                "direction-unclear",
-                direction_words=direction_words(direction),
-                factor=factor,
-            )
+        raise TripError.at(
+            recording.manifest.path,
+            "direction-unclear",
+            direction_words=direction_words(direction),
+            factor=factor,
         )
     return direction

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.speeds import NoEstimateError, Speeds
-from suspnet.curves.welch import SegmentSpectra, Welch
+from suspnet.curves.welch import SegmentSpectra
 from suspnet.estimation.bogie_model import BogieModel
 from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.fitted import FittedMethod, Model
@@ -145,7 +145,9 @@ def _of_equal_sides(
     settings: TripSettings,
 ) -> TripReading:
     if not any(len(segments.values) for _, segments in pairs):
-        return TripReading(NoEstimateError(no_segment(recording, pairs[0][1].welch)))
+        segment_s, words = pairs[0][1].welch.segment_s, unrepaired_words(recording)
+        reason = Finding("no-segment", segment_s=segment_s, unrepaired_words=words)
+        return TripReading(NoEstimateError(reason))
     if recording.absent:
         return TripReading(NoEstimateError(no_channel(recording)))
     try:
@@ -347,13 +349,6 @@ def _check_places(recording: Recording, generator: ResponseGenerator) -> None:
     if wrong:
         listed = together((f"{name} ({lateral_m:g} m)" for name, lateral_m in wrong), ", ")
         raise TripError(Finding("pairs-for-one-sided-model", listed=listed))
-
-
-def no_segment(recording: Recording, welch: Welch) -> str:
-    """Return the message that no segment of a recording is free of faults."""
-    return Finding(
-        "no-segment", segment_s=welch.segment_s, unrepaired_words=unrepaired_words(recording)
-    )
 
 
 def no_channel(recording: Recording) -> str:

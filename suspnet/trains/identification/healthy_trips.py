@@ -9,7 +9,7 @@ from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.speeds import NoEstimateError, Speeds
 from suspnet.curves.welch import SegmentSpectra
 from suspnet.estimation.trip_settings import LEAST_TRIPS, TripSettings
-from suspnet.ground.findings import Finding, at, of, together
+from suspnet.ground.findings import Finding, of, together
 from suspnet.ground.parameters import REVERSE, Direction
 from suspnet.ground.progress import bar
 from suspnet.ground.tensors import threads
@@ -110,10 +110,10 @@ def read_healthy(
     if len(usable) < LEAST_TRIPS:
         kind = "too-few-healthy-as" if left_out else "too-few-healthy"
         numbers = {"n": len(usable), "least": LEAST_TRIPS, "reasons": together(left_out)}
-        raise TripError(at(folder, kind, **numbers))
+        raise TripError.at(folder, kind, **numbers)
     paired = {trip.paired for trip in usable}
     if len(paired) > 1:
-        raise TripError(at(folder, "pairs-and-single-sensors"))
+        raise TripError.at(folder, "pairs-and-single-sensors")
     assert vehicle is not None  # else a trip that lacks a channel was refused
     return HealthyTrips(
         tuple(trip.manifest for trip in usable),
@@ -211,20 +211,18 @@ def _check_same(
     vehicle = generator.vehicle.name
     for manifest in manifests:
         if manifest.vehicle != vehicle:
-            raise TripError(
-                at(
-                    manifest.path,
-                    "of-another-vehicle",
-                    vehicle=repr(manifest.vehicle),
-                    vehicle2=vehicle,
-                )
+            raise TripError.at(
+                manifest.path,
+                "of-another-vehicle",
+                vehicle=repr(manifest.vehicle),
+                vehicle2=vehicle,
             )
     places = sorted({str(manifest.place) for manifest in manifests})
     if len(places) > 1:
-        raise TripError(at(folder, "several-suspensions", places=together(places, ", ")))
+        raise TripError.at(folder, "several-suspensions", places=together(places, ", "))
     for key, ours in (("bogie", generator.bogie), ("axle", generator.axle)):
         for named in {getattr(manifest, key) for manifest in manifests} - {None, ours}:
-            raise TripError(at(folder, OTHER[key], named=named, own=ours))
+            raise TripError.at(folder, OTHER[key], named=named, own=ours)
 
 
 def trip_of_all_sensors(

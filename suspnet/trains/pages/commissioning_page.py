@@ -162,7 +162,7 @@ def _page_values(
         ],
         "groups": groups,
         "untold": words.untold(numbers),
-        "scale": words.force_scale(vehicle.bogie_mass_kg),
+        "scale": Finding("force-scale", bogie_mass_kg=vehicle.bogie_mass_kg),
         "left_out": healthy.left_out,
         "threshold": EXPLAINED,
         "details": {

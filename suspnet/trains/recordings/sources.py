@@ -217,8 +217,8 @@ class Timeline:
     `band_hz` is the frequency up to which the samples are used.
     """
 
-    def __init__(self, where: str, rate_hz: float | None, band_hz: float = BAND_HZ) -> None:
-        self.where, self.stated_rate_hz, self.band_hz = where, rate_hz, band_hz
+    def __init__(self, where: str, rate_hz: float | None) -> None:
+        self.where, self.stated_rate_hz, self.band_hz = where, rate_hz, BAND_HZ
         self.rate_hz = self.first_s = np.nan
         self._usual_s = self._last_s = np.nan
         self._n_steps, self._seconds = 0, 0.0

@@ -227,7 +227,7 @@ def _check_swapped(sides: Tensor, isolated: Tensor, paired: Sequence[bool]) -> N
         lower, upper = left[:, isolated].sum(dim=1)
         side = "left" if lower < upper else "right"
         names = together((CHANNELS[channels[i]] for i in (first, second)), " and ")
-        raise TripError(at(names, "sides-swapped", side=side))
+        raise TripError.at(names, "sides-swapped", side=side)
 
 
 def _other_order(spectra: CrossSpectra, expected: Tensor) -> tuple[float, str]:
@@ -306,9 +306,9 @@ def _check_gains(gains: list[complex]) -> None:
         if not 1 / GAIN_TOLERANCE < size < GAIN_TOLERANCE:
             slip = _slip(size)
             values = {"link": link, "source": source, "sink": sink, "size": size, "slip": slip}
-            raise TripError(at(suspect, "gain-slip" if slip else "gain", **values))
+            raise TripError.at(suspect, "gain-slip" if slip else "gain", **values)
         if abs(math.atan2(gain.imag, gain.real)) > math.pi / 2:
-            raise TripError(at(suspect, "sign-wrong", source=source, sink=sink, suspect=suspect))
+            raise TripError.at(suspect, "sign-wrong", source=source, sink=sink, suspect=suspect)
 
 
 def _suspect(gains: list[complex], sink: str, source: str) -> str:
