@@ -79,9 +79,7 @@ def healthy_words(model: Model) -> str:
 
 def misfit_words(model: Model) -> str:
     """Return the misfit of a model's healthy trips, as text."""
-    if isinstance(model, BogieModel) and model.bogie.generator.shows_parts:
-        return Finding("misfit-of-parts", misfit=model.bogie.misfit)
-    misfit = model.training.get("commissioned", {}).get("misfit")
-    if misfit is None:
+    if not isinstance(model, BogieModel):
         return "none: the vehicle is that of the drawing, not commissioned"
-    return Finding("misfit-of-noise", misfit=misfit)
+    kind = "misfit-of-parts" if model.bogie.generator.shows_parts else "misfit-of-noise"
+    return Finding(kind, misfit=model.bogie.misfit)
