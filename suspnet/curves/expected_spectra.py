@@ -229,9 +229,13 @@ def weak_bins(covariance: Tensor, beyond: Tensor, n_averages: float) -> Tensor:
 
 def bridged(relative: Tensor, weak: Tensor) -> Tensor:
     """Return rows (n, n_freq) with weak bins interpolated linearly, held constant at the ends."""
-    good = np.flatnonzero(~weak.numpy())
-    if len(good) in (0, len(weak)):
+    good = torch.nonzero(~weak)[:, 0]
+    if not bool(weak.any()) or not len(good):
         return relative
-    bins = np.arange(len(weak))
-    rows = [np.interp(bins, good, row) for row in relative[:, good].cpu().numpy()]
-    return torch.as_tensor(np.reshape(rows, relative.shape)).to(relative)
+    bins = torch.arange(len(weak))
+    after = torch.searchsorted(good, bins).clamp(max=len(good) - 1)
+    right = good[after]
+    left = torch.where(right > bins, good[(after - 1).clamp(min=0)], right)
+    gap = (right - left).clamp(min=1)
+    share = ((bins - left) / gap).clamp(0, 1).to(relative.device)
+    return relative[:, left] + share * (relative[:, right] - relative[:, left])
