@@ -222,7 +222,7 @@ def table(rows):
         ends = f"{misfits[0]:.2f} to {misfits[-1]:.2f}" if len(misfits) > 1 else f"{misfits[0]:.2f}"
         seeds = sorted({int(row["seed"]) for row in of})
         line = {"set": name, "seeds": " ".join(map(str, seeds)), "misfit": ends}
-        if len(seeds) > 4:
+        if len(seeds) > 6:
             line["seeds"] = f"{seeds[0]} to {seeds[-1]}"
         n_held, n_all = 0.0, 0
         for kind in KINDS:
