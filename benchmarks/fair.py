@@ -16,10 +16,10 @@ from statistics import fmean, stdev
 from typing import Any
 
 from matplotlib.figure import Figure
-from paper_figures import grid
 from readings import METHODS, legend_above, summarise
 
 from suspnet.runs.figures import SYMBOLS
+from suspnet.runs.plots import grid
 from suspnet.runs.tables import (
     MODEL_TITLES,
     PUBLISHED,

@@ -23,6 +23,7 @@ import paper_figures
 import torch
 from cells import Parser
 from matplotlib.figure import Figure
+from readings import METHODS
 from sklearn.base import clone
 from tabulate import tabulate
 
@@ -36,7 +37,7 @@ from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import UNITS
 from suspnet.ground.storage import read_json, write_atomically
-from suspnet.runs.tables import MODEL_TITLES, PUBLISHED, in_digits, records_csv
+from suspnet.runs.tables import MODEL_TITLES, in_digits, records_csv
 from suspnet.runs.tensorboard import RunLog
 from suspnet.runs.train import train
 from suspnet.trains.jobs.fleet import FleetSettings, evaluate_fleet
@@ -274,7 +275,7 @@ def _training_findings(task: Task, runs: Sequence[Mapping[str, Any]]) -> Finding
         for output, row in scores.items()
     ]
     errors = ", ".join(in_digits(row.get("MSVR")) for row in scores.values())
-    of_paper = [MODEL_TITLES[name] for name in PUBLISHED["k_p", "mape_percent"]]
+    of_paper = [MODEL_TITLES[name] for name in METHODS]
     best = ", ".join(
         f"{min((row[method], method) for method in of_paper if method in row)[1]} for {output}"
         for output, row in scores.items()

@@ -15,23 +15,11 @@ from matplotlib.ticker import NullFormatter
 from suspnet.ground.parameters import PARAMETERS, UNITS
 from suspnet.ground.types import FloatArray
 from suspnet.runs.figures import SUSPENSIONS, SYMBOLS
-from suspnet.runs.plots import BOUND_COLOUR, PEAKS, draw_peaks
+from suspnet.runs.plots import BOUND_COLOUR, PEAKS, draw_peaks, grid
 from suspnet.runs.tables import MODEL_TITLES
 from suspnet.vehicle import ResponseGenerator, Vehicle
 
 PRECISION_TICKS = (0.2, 0.5, 1, 2, 5)
-
-
-def grid(
-    n_rows: int, n_columns: int, size: tuple[float, float] = (4.2, 3.2), **options: Any
-) -> tuple[Figure, list[list[Axes]]]:
-    """Return a figure with axes in rows and columns, each of a size [inch] and with grid lines."""
-    figure = Figure(figsize=(size[0] * n_columns, size[1] * n_rows), layout="constrained")
-    axes = figure.subplots(n_rows, n_columns, squeeze=False, **options)
-    for axis in axes.flat:
-        axis.grid(True, which="both", alpha=0.3)
-        axis.set_axisbelow(True)
-    return figure, [list(row) for row in axes]
 
 
 def quarter_car(vehicle: Vehicle) -> Figure:

@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 from cells import Parser, at_least
 from matplotlib.figure import Figure
-from paper_figures import grid
 from sklearn.multioutput import MultiOutputRegressor
 from tqdm import tqdm
 
@@ -32,6 +31,7 @@ from suspnet.ground.types import FloatArray
 from suspnet.ground.workers import LostWorkerError, each
 from suspnet.learning import MSVR, Scaling
 from suspnet.learning.search import GridSearch
+from suspnet.runs.plots import grid
 from suspnet.runs.tables import Record, grouped, markdown, write_study
 
 STUDIED = ("exact", "uniform_5", "uniform_10", "ball_10", "sphere_10", "steps_10", "normal_10")

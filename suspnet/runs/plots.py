@@ -97,10 +97,19 @@ def table6(records: Sequence[Mapping[str, Any]]) -> Figure:
 
 
 def single(size: tuple[float, float] = (4.8, 3.6)) -> tuple[Figure, Axes]:
-    """Return a figure with one axis and grid lines, whose ticks have the size of its texts."""
-    figure = Figure(figsize=size, layout="constrained")
-    axis = figure.subplots()
-    axis.grid(True, which="both", alpha=0.3)
-    axis.set_axisbelow(True)
+    """Return a figure with one axis, whose ticks have the size of its texts."""
+    figure, [[axis]] = grid(1, 1, size)
     axis.tick_params(labelsize=FONT_POINTS)
     return figure, axis
+
+
+def grid(
+    n_rows: int, n_columns: int, size: tuple[float, float] = (4.2, 3.2), **options: Any
+) -> tuple[Figure, list[list[Axes]]]:
+    """Return a figure with axes in rows and columns, each of a size [inch] and with grid lines."""
+    figure = Figure(figsize=(size[0] * n_columns, size[1] * n_rows), layout="constrained")
+    axes = figure.subplots(n_rows, n_columns, squeeze=False, **options)
+    for axis in axes.flat:
+        axis.grid(True, which="both", alpha=0.3)
+        axis.set_axisbelow(True)
+    return figure, [list(row) for row in axes]
