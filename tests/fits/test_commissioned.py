@@ -28,13 +28,13 @@ def trips(generator, numbers):
     """Return drawn spectra of healthy trips of a generator's vehicle."""
     source, groups = torch.Generator().manual_seed(4), []
     taps = moving_average_with(SETTINGS.welch.correlation().numpy())
-    for trip, (mass, speed) in enumerate(zip(MASSES, (70.0, 55.0), strict=True)):
+    for mass, speed in zip(MASSES, (70.0, 55.0), strict=True):
         rows = torch.ones(1, 5, dtype=torch.float64)
         rows[0, 4], at = mass, Speeds((speed,), (1.0,))
         rows = generator.with_uncertain(rows, torch.as_tensor(numbers)[None])
         found = sample_spectra(SETTINGS.observer(generator).at(at).expected(rows), taps, source)
         spectra = CrossSpectra(found.auto[0], found.cross[0], found.n_averages)
-        groups.append(HealthySpectra(trip, f"trip_{trip}", at, spectra))
+        groups.append(HealthySpectra(at, spectra))
     return groups
 
 

@@ -33,7 +33,7 @@ def drawn(vehicle, seed=0):
     taps = moving_average_with(SETTINGS.welch.correlation().numpy())
     found = sample_spectra(expected, taps, torch.Generator().manual_seed(seed))
     spectra = CrossSpectra(found.auto[0], found.cross[0], found.n_averages)
-    return HealthySpectra(0, "trip", Speeds((vehicle.speed_m_per_s,), (1.0,)), spectra)
+    return HealthySpectra(Speeds((vehicle.speed_m_per_s,), (1.0,)), spectra)
 
 
 @pytest.mark.parametrize("stated", [False, True])
@@ -71,7 +71,7 @@ def test_trips_of_richer_trains_are_not_doubted(effects, side):
         wear = np.array([[0.6, 1.2, 0.8, 0.9, 1.1]]) if seed else np.ones((1, 5))
         found = drawn_estimates(train, wear, SETTINGS, seed, side)
         spectra = CrossSpectra(found.auto[0], found.cross[0], found.n_averages)
-        one = HealthySpectra(0, "trip", Speeds((speed,), (1.0,)), spectra)
+        one = HealthySpectra(Speeds((speed,), (1.0,)), spectra)
         given = VerticalVehicle(AM96, speed_m_per_s=speed)
         assert elsewhere(given, SETTINGS, one, (None, direction)[seed]) is None
 

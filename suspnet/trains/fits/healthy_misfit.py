@@ -41,22 +41,15 @@ Z_BOUND = 8.0
 
 @dataclass(frozen=True)
 class HealthySpectra:
-    """Spectra (3, n_freq) at one speed of trip number `trip`: one car-body mass, one direction.
+    """Spectra (3, n_freq) of a trip at one speed: one car-body mass, one direction.
 
     `left_out` (n_freq,) are bins with lines of out-of-round wheels.
     """
 
-    trip: int
-    name: str
     speeds: Speeds
     spectra: CrossSpectra
     direction: Direction = FORWARD
     left_out: Tensor | None = None
-
-    @property
-    def speed_m_per_s(self) -> float:
-        """Mean speed, [m/s]."""
-        return self.speeds.mean
 
 
 class HealthyMisfit:

@@ -247,6 +247,6 @@ def _spectra(
     groups = groups_to_read(speeds, trips.speed_tolerance, trips.min_speed_m_per_s)
     for part in steady(segments, speeds, groups, settings, trips, wheel_lines(recording)):
         if part.spectra is not None and part.has_enough:
-            name, speed = recording.manifest.name, Speeds.of(*part.speed)
-            return HealthySpectra(0, name, speed, part.spectra, left_out=part.left_out)
+            speed = Speeds.of(*part.speed)
+            return HealthySpectra(speed, part.spectra, left_out=part.left_out)
     return None

@@ -51,7 +51,6 @@ MEASURED, NOMINAL, FITTED = "0.7", "tab:orange", "tab:blue"
 def write_outcome(folder: Path, healthy: HealthyTrips, outcome: Commissioned) -> None:
     """Write page, numbers (JSON) and figures of a commissioned vehicle."""
     bogie, celsius = outcome.bogie, [one.temperature_c for one in healthy.manifests]
-    assert healthy.vehicle is not None
     commissioned, drawing = (
         explained_trips(vehicle, bogie, healthy.of_parts, celsius)
         for vehicle in (bogie.generator, healthy.vehicle)
@@ -220,7 +219,6 @@ def responses(
     # one trip is drawn: all of them would hide the band
     i = max(range(len(commissioned)), key=lambda i: healthy.of_parts[i].spectra.n_averages)
     trip, frequencies_hz = healthy.of_parts[i], healthy.of_parts[i].frequencies_hz.numpy()
-    assert healthy.vehicle is not None
     assert healthy.vehicle.sensors is not None
     ends = links(healthy.vehicle.sensors)
     figure = Figure(figsize=(9.0, 4.4), layout="constrained")

@@ -131,7 +131,7 @@ def _frame_place(
     with contextlib.suppress(NoEstimateError):  # the band is reported elsewhere
         band = in_band(segments, estimate.frequencies_hz())
         at = Speeds.of(*speed_of(speeds, band))
-        trip = HealthySpectra(0, manifest.name, at, band.average(chosen))
+        trip = HealthySpectra(at, band.average(chosen))
         other = elsewhere(generator, estimate, trip, manifest.direction)
         # another axle or direction is an error of the checks below
         if other is not None and other.best.vehicle.frame_sensor != generator.frame_sensor:
