@@ -109,7 +109,6 @@ def stages_of(given, trips):
     return {
         "reading, s": f"{read_s:.1f}",
         "fit of the parts, s": f"{parts_s:.1f}",
-        "fit of equal sides, s": "-",
         "misfit": f"{bogie.misfit:.2f}",
     }
 
