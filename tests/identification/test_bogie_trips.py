@@ -85,7 +85,7 @@ def test_bins_averages_and_speed_are_those_of_the_recording(short):
     assert trip.spectra.values.shape == (len(trip.frequencies_hz), 6, 6)
     assert trip.spectra.n_averages == pytest.approx(27, abs=3)  # of 12 minutes in bands of .04 Hz
     assert trip.speed_m_per_s == pytest.approx(70.0, abs=0.5)
-    assert trip.frequencies_hz[trip.left_out].tolist() == pytest.approx([16.7])
+    assert trip.frequencies_hz[trip.left_out].tolist() == pytest.approx([16.5, 16.6, 16.7, 16.8])
 
 
 def test_bins_with_lines_of_wheels_are_left_out(short, monkeypatch):
@@ -93,8 +93,7 @@ def test_bins_with_lines_of_wheels_are_left_out(short, monkeypatch):
     monkeypatch.setattr(bogie_trips, "wheel_lines", lambda recording: (line,))
     trip = bogie_trip(short, VEHICLE)
     held = trip.frequencies_hz[trip.left_out]
-    assert float(held[-1]) == pytest.approx(16.7)  # mains
-    held = held[:-1]
+    held = held[held < 16.0]  # those above hold the hum of mains
     assert 0 < len(held) < 10
     assert float((held - 10.0).abs().max()) < 0.5
     kept = trip.frequencies_hz[trip.of(torch.arange(len(trip.frequencies_hz)))]

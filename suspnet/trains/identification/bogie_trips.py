@@ -63,9 +63,9 @@ UNLIKE_HEALTHY = 3.0
 something else than springs and dampers has changed."""
 LOW_HZ, HIGH_HZ = 0.5, 18.0
 """Ends of the band: below, accelerometers drift; above, frame and body have modes of their own."""
-MAINS_HZ, HUM_BINS = 50 / 3, 3
-"""Frequency of railway mains, whose hum no vehicle explains, and the reach of its leakage in bins
-of a segment."""
+MAINS_HZ, HUM_BINS = (16.5, 16.83), 3
+"""Frequencies of railway mains, whose hum no vehicle explains, a third of a grid's that may be 1 %
+off 50 Hz (IEC 60850), and the reach of its leakage in bins of a segment."""
 SPACING_HZ, EQUAL_SPACING_HZ = 0.1, 0.05
 """Distance of the bins that are read, far enough for them to be independent. Few sensors need
 all data of a trip: 6 bins of its longest segments, of which 5 are averaged."""
@@ -109,7 +109,7 @@ def bogie_trip(
 
     If sensors of the generator's are missing or dead, or one whose faults leave no long stretch, it
     is that of the others (`lost` of the result). Bins with lines of out-of-round wheels of axle 1,
-    and with hum of 16.7 Hz, are left out.
+    and with hum of about 16.7 Hz, are left out.
 
     Parameters
     ----------
@@ -177,7 +177,8 @@ def _trip_of_all(
     bins = _bins(segments.frequencies_hz, every)
     matrix = SpectralMatrix.of(segments, chosen, n_bins).at(bins).of_sensors(order)
     frequencies_hz, lines = segments.frequencies_hz[bins], wheel_lines(recording)
-    left_out = (frequencies_hz - MAINS_HZ).abs() <= (HUM_BINS + n_bins // 2) / segment_s
+    (low_hz, high_hz), reach_hz = MAINS_HZ, (HUM_BINS + n_bins // 2) / segment_s
+    left_out = (frequencies_hz >= low_hz - reach_hz) & (frequencies_hz <= high_hz + reach_hz)
     left_out |= line_bins(lines, speeds[chosen], frequencies_hz, segment_s, n_bins)
     return BogieTrip(
         frequencies_hz,
