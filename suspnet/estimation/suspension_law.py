@@ -10,7 +10,9 @@ and v_0 the means of the healthy trips, a stiffness, damping or loss p follows::
 b [1/K] and a [-] are normal, of each number one of ``SLOPES``; healthy trips of different
 temperatures and speeds narrow them (`suspnet.trains.fits.bogie_misfit`). Later trips are read as at
 T_0 and v_0, and the uncertainty of b and a widens their intervals with the distance from there.
-Only a vehicle with the part nonlinear_dampers has a.
+Only a vehicle with the part nonlinear_dampers has a. v is that between sensors at both ends of a
+suspension; what wear on a later trip does to the speed of each damper beyond that follows from the
+parts found (`BogieMisfit.own_speeds`).
 """
 
 from collections.abc import Sequence
@@ -42,13 +44,14 @@ SLOPES = (
     Slope("c_p", "temperature", -0.004, 0.002),
     Slope("c_s", "temperature", -0.004, 0.002),
     Slope("c_p", "primary speed", -0.2, 0.3),
-    Slope("c_s", "secondary speed", -0.2, 0.3),
+    Slope("c_s", "secondary speed", 0.0, 0.5),
     Slope("k_p", "primary speed", 0.0, 0.05),
     Slope("k_s", "secondary speed", 0.0, 0.05),
     Slope("rubber_loss", "primary speed", -0.5, 0.5),
 )
 """Dampers lose more below -10 °C. A damper whose force does not depend on the speed has a = -1, a
-linear one 0, and so has the loss of a spring with dry friction and of one without."""
+linear one 0, and the choke of an air spring, of which the force grows with the power 1.8 of the
+speed, 0.8. The loss of a spring with dry friction has -1, of one without 0."""
 USUAL = np.array([slope.mean for slope in SLOPES])
 DEVIATIONS = np.array([slope.deviation for slope in SLOPES])
 N_OF_TEMPERATURE = sum(slope.condition == CONDITIONS[0] for slope in SLOPES)
@@ -154,13 +157,20 @@ class SuspensionLaw:
         of = dict(zip(CONDITIONS, (warmer, *faster), strict=True))
         return np.array([of[slope.condition] for slope in SLOPES])
 
-    def uncertainty(self, names: Sequence[str], conditions: FloatArray) -> FloatArray:
-        """Return the covariance of the logarithms of parts by that of slopes, (n_names, n_names).
+    def beside(
+        self, names: Sequence[str], conditions: FloatArray, faster: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return how parts differ from those read by what their own dampers' speeds do.
 
-        The errors of the slopes are the same for all parts of a kind.
+        That are the differences of their logarithms, (n_names,), and the covariance by that of the
+        slopes, whose errors are the same for all parts of a kind, (n_names, n_names). `conditions`
+        (7,) are those by which they were read, `faster` (n_names,) the logarithms of the factors by
+        which their dampers are faster than these say.
         """
-        factors = follows(names).T * conditions
-        return np.asarray(factors @ np.array(self.covariance) @ factors.T)
+        follow, by_speed = follows(names).T, np.arange(len(SLOPES)) >= N_OF_TEMPERATURE
+        own = follow * np.outer(faster, by_speed)
+        factors = follow * conditions + own
+        return own @ np.array(self.slopes), factors @ np.array(self.covariance) @ factors.T
 
 
 def follows(names: Sequence[str]) -> FloatArray:

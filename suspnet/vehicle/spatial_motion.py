@@ -92,11 +92,15 @@ SIGNS = {"left": 1.0, "right": -1.0, "middle": 0.0}
 
 @dataclass(frozen=True)
 class Joint:
-    """An element, its stretch, and what it pulls: the coordinates of the stretch if None."""
+    """An element, its stretch, and what it pulls: the coordinates of the stretch if None.
+
+    `damper` is the name of the one that it holds, "c_p_axle1_left" or "other_c_s_right".
+    """
 
     element: Element
     stretch: Row
     pull: Row | None = None
+    damper: str | None = None
 
 
 def coordinates(layout: Layout) -> tuple[str, ...]:
@@ -268,13 +272,15 @@ def _suspensions(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
                 corner = f"_axle{axle}_{side}"
                 spring = primary_element(p, prefix, parts, corner).times(0.5)
                 below: Row = {_height(parts, wheel): -1.0, _roll(parts, wheel): -lateral}
-                joints.append(Joint(spring, {**_corner(i, end, lateral, p), **below}))
+                stretch = {**_corner(i, end, lateral, p), **below}
+                joints.append(Joint(spring, stretch, damper=f"{prefix}c_p{corner}"))
             spring = secondary_element(p, prefix, parts, f"_{side}")
             lateral = SIGNS[side] * p["secondary_lateral"]
             body: Row = {"z": 1.0, "q": p["bending_at_pivot"], "phi": _along(layout, p, sigma)}
             body |= {"q_b": sigma * p["second_at_pivot"], **_body_roll(p, sigma, lateral)}
             body |= {"theta": _across(layout, p, lateral)}
-            joints.append(Joint(spring, {**body, f"z_{i}": -1.0, f"theta_{i}": -lateral}))
+            stretch = {**body, f"z_{i}": -1.0, f"theta_{i}": -lateral}
+            joints.append(Joint(spring, stretch, damper=f"{prefix}c_s_{side}"))
         if "guidance" in parts:
             joints.append(Joint(guidance, {f"psi_{i}": 1.0}))
         joints.append(Joint(bar, {**_body_roll(p, sigma, 1.0), f"theta_{i}": -1.0}))

@@ -313,6 +313,26 @@ def alone_responses(
     return torch.cat(blocks)
 
 
+def strokes(
+    layout: Layout,
+    numbers: Numbers,
+    sensors: Sequence[str],
+    columns: Tensor,
+    omega: Tensor,
+    dampers: Sequence[str],
+) -> Tensor:
+    """Return the strokes of named dampers, (n_vehicles, n_inputs, n_dampers, n_freq)."""
+    p = numbers(columns)
+    system = equations(layout, p, sensors, omega)
+    whole = torch.cat([system.solved()[0], system.inputs], dim=2)
+    joints = {joint.damper: joint for joint in acting(layout, p)}
+    names = (*coordinates(layout), *wheel_inputs(layout.parts))
+    stretches = _matrix([joints[name].stretch for name in dampers], names, p["speed"])
+    shares = torch.stack([joints[name].element.of_damper(omega) for name in dampers], dim=1)
+    stretched = (stretches[:, None].to(whole.dtype) @ whole).permute(0, 3, 2, 1)
+    return stretched * shares[:, None]
+
+
 def derivatives(
     layout: Layout,
     numbers: Numbers,

@@ -15,7 +15,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from suspnet.ground.parameters import COMPONENTS
+from suspnet.ground.parameters import BOGIE_PARTS, COMPONENTS
 from suspnet.ground.settings import check_choice, setting
 from suspnet.ground.tensors import as_tensor
 from suspnet.vehicle.motion import LinearSystem
@@ -35,6 +35,7 @@ from suspnet.vehicle.spatial_response import (
     derivatives,
     input_names,
     responses,
+    strokes,
 )
 from suspnet.vehicle.vehicle import angular
 from suspnet.vehicle.vertical_motion import Layout
@@ -203,6 +204,16 @@ class SpatialVehicle(VehicleFamily):
         """
         rows, omega = self._rows(ratios), self._bins(frequencies_hz)
         return alone_responses(self._layout, self._in_si, self._places, rows, omega)
+
+    def strokes(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> Tensor:
+        """Return the stroke of each damper of the measured bogie for each input, metre per metre.
+
+        Complex, (n_vehicles, n_inputs, 6, n_freq), [-], scaled as `channels`; in series with a
+        bushing it is that of the damper alone. ValueError as of `channels`.
+        """
+        rows, omega = self._rows(ratios), self._bins(frequencies_hz)
+        dampers = [name for name in BOGIE_PARTS if name.startswith("c_")]
+        return strokes(self._layout, self._in_si, self._places, rows, omega, dampers)
 
     def channels_along(
         self,

@@ -101,6 +101,16 @@ class Element:
             imaginary = torch.addcmul(imaginary, share, rate)
         return torch.complex(*torch.broadcast_tensors(real, imaginary))
 
+    def of_damper(self, omega: Tensor) -> Tensor:
+        """Return the stroke of its damper over its stretch, (n_vehicles, n_freq), [-].
+
+        The damper is alone, or in series with the spring of the first branch.
+        """
+        if self.damping is not None:
+            return torch.ones_like(self.damping * omega, dtype=torch.complex128)
+        _, rate = self.branches[0]
+        return rate / torch.complex(*torch.broadcast_tensors(rate, omega))
+
     @classmethod
     def stacked(cls, elements: Sequence[Element]) -> Element:
         """Return elements as one, its numbers and kappa of shape (n_vehicles, n_elements, ...).

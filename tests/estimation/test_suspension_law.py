@@ -30,20 +30,30 @@ def test_what_is_unknown_counts_as_the_mean():
     np.testing.assert_array_equal(unknown.conditions(20.0, speeds[0]), by_condition(0, 0, 0))
 
 
-def test_errors_of_slopes_are_shared_by_all_parts_of_a_kind():
-    n = len(SLOPES)
-    roots = np.random.default_rng(0).normal(size=(n, n))
-    covariance = roots @ roots.T
-    law = SuspensionLaw(12.0, (0.1, 0.2), covariance=tuple(map(tuple, covariance.tolist())))
+def test_slopes_correct_a_part_by_the_speed_of_its_own_damper_and_their_errors_are_shared():
+    n, rng = len(SLOPES), np.random.default_rng(0)
+    roots, faster = rng.normal(size=(n, n)), rng.normal(size=len(COMPONENTS))
+    covariance, slopes = roots @ roots.T, tuple(rng.normal(size=n).tolist())
+    law = SuspensionLaw(12.0, (0.1, 0.2), slopes, tuple(map(tuple, covariance.tolist())))
     conditions = law.conditions(20.0, np.array([0.11, 0.15]))
-    found = law.uncertainty(COMPONENTS, conditions)
+    differences, found = law.beside(COMPONENTS, conditions, faster)
+
+    def weight(i, k):
+        if kind_of(COMPONENTS[i]) != SLOPES[k].number:
+            return 0.0
+        return conditions[k] + (faster[i] if SLOPES[k].condition != "temperature" else 0.0)
+
     for i, j in np.ndindex(found.shape):
-        expected = 0.0
-        for k, m in np.ndindex(n, n):
-            both = kind_of(COMPONENTS[i]) == SLOPES[k].number, kind_of(COMPONENTS[j])
-            if both[0] and both[1] == SLOPES[m].number:
-                expected += conditions[k] * covariance[k, m] * conditions[m]
+        pairs = np.ndindex(n, n)
+        expected = sum(weight(i, k) * covariance[k, m] * weight(j, m) for k, m in pairs)
         assert found[i, j] == pytest.approx(expected)
+    for i, name in enumerate(COMPONENTS):
+        own = [
+            slopes[k] * faster[i]
+            for k, slope in enumerate(SLOPES)
+            if slope.number == kind_of(name) and slope.condition != "temperature"
+        ]
+        assert differences[i] == pytest.approx(sum(own))
 
 
 def test_fitted_slopes_are_in_deviations_of_the_prior():

@@ -54,6 +54,11 @@ CONDITIONS = np.array(
 NOISE = torch.tensor([4e-3, 4e-3, 5e-6, 5e-6, 2e-7, 2e-7], dtype=torch.float64)
 
 
+def normal(rng, *shape):
+    """Return complex normal numbers of variance 1."""
+    return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / math.sqrt(2)
+
+
 def drawn(vehicle, ratios, seed, n_averages=N_AVERAGES, exact=False, size=1.0):
     """Return the spectral matrix of a trip, its inputs of any spectra and coherence.
 
@@ -62,16 +67,12 @@ def drawn(vehicle, ratios, seed, n_averages=N_AVERAGES, exact=False, size=1.0):
     rng = np.random.default_rng(seed)
     responses = vehicle.channels(ratios, BINS)[0].permute(2, 1, 0).numpy()
     n_freq, n_sensors, n_inputs = responses.shape
-
-    def normal(*shape):
-        return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / math.sqrt(2)
-
-    inputs = size * normal(n_freq, n_inputs, n_inputs)
+    inputs = size * normal(rng, n_freq, n_inputs, n_inputs)
     spectra = responses @ inputs @ inputs.conj().swapaxes(1, 2) @ responses.conj().swapaxes(1, 2)
     spectra += np.diag(NOISE[:n_sensors])
     if not exact:
         root = np.linalg.cholesky(spectra)
-        signals = root @ normal(n_freq, n_sensors, n_averages)
+        signals = root @ normal(rng, n_freq, n_sensors, n_averages)
         spectra = signals @ signals.conj().swapaxes(1, 2) / n_averages
     return SpectralMatrix(torch.as_tensor(spectra), n_averages)
 
@@ -496,6 +497,50 @@ def test_a_warm_and_rough_trip_is_read_as_under_the_conditions_of_the_healthy_on
     # unless the temperature is told, the trip looks like one of weak dampers
     unknown = fit_parts(bogie, one, start=ratios({}))
     assert unknown.values[COMPONENTS.index("c_s_left")] < 0.9
+
+
+def speeds_of_dampers(vehicle, rows, seed):
+    """Return the speeds of the dampers and of both pairs' ends on the track of `drawn`, naively."""
+    inputs = normal(np.random.default_rng(seed), len(BINS), 3, 3)
+    strokes, channels = vehicle.strokes(rows, BINS)[0], vehicle.channels(rows, BINS)[0]
+    ends = [channels[:, above] - channels[:, above - 2] for above in (2, 3, 4, 5)]
+    squares = np.zeros(10)
+    for i, motion in enumerate([*strokes.transpose(0, 1), *ends]):
+        for j, f in enumerate(BINS.tolist()):
+            velocity = motion[:, j].numpy() @ inputs[j] / (2 * math.pi * f)
+            squares[i] += float((np.abs(velocity) ** 2).sum())
+    return np.sqrt(squares[:6]), np.sqrt([squares[6:8].mean(), squares[8:].mean()])
+
+
+def test_dampers_are_read_as_at_their_own_speeds_while_healthy():
+    """Wear changes the speed of each damper by another factor than that between the sensors."""
+    plain = replace(VEHICLE, distribution={"healthy_k_s": 1e-3})
+    slopes, of_kind = (0.0, 0.0, -0.6, -0.4, 0.0, 0.0, 0.0), {"c_p": -0.6, "c_s": -0.4}
+    dampers = [name for name in COMPONENTS if name[0] == "c"]
+    worn = {"k_p_axle2_right": 0.5, "c_s_right": 0.8}
+
+    def rows(parts, others):
+        whole = torch.ones(1, len(plain.columns), dtype=torch.float64)
+        for name, ratio in (parts | others).items():
+            whole[0, plain.columns.index(name)] = ratio
+        return whole
+
+    healthy, healthy_pairs = speeds_of_dampers(plain, rows({}, {}), 5)
+    parts, others = dict(worn), {}
+    for _ in range(20):  # to where damping and speeds agree
+        own, pairs = speeds_of_dampers(plain, rows(parts, others), 5)
+        for name, faster in zip(dampers, own / healthy, strict=True):
+            parts[name] = worn.get(name, 1.0) * faster ** of_kind[name[:3]]
+        by_pairs = dict(zip(of_kind, pairs / healthy_pairs, strict=True))
+        others = {f"other_{kind}": by_pairs[kind] ** slope for kind, slope in of_kind.items()}
+    one = trip(drawn(plain, rows(parts, others), 5, 10**6, exact=True), 70.0)
+    m_per_s = one.damper_speeds(VEHICLE.sensors) / np.array(list(by_pairs.values()))
+    law = SuspensionLaw(None, tuple(m_per_s), slopes, ((0.0,) * 7,) * 7)
+    vehicle = plain.with_parts(("nonlinear_dampers",))
+    found = fit_parts(CommissionedBogie(vehicle, NOISE, np.ones(3), 1.0, True, law), one)
+    np.testing.assert_allclose(found.values, ratios(worn, 1.0), rtol=5e-3)
+    of_sensors = np.array([by_pairs[name[:3]] for name in dampers])
+    assert np.abs(np.log(own / healthy / of_sensors)).max() > 0.2
 
 
 def test_healthy_trips_of_different_roughness_show_how_dampers_depend_on_their_speed():

@@ -10,6 +10,7 @@ import torch
 from vehicles import AM96
 
 from suspnet import SpatialVehicle
+from suspnet.ground.parameters import COMPONENTS, CORNERS
 from suspnet.vehicle import VerticalVehicle
 from suspnet.vehicle import spatial_response as module
 from suspnet.vehicle.quantities import ADDITIONS, PARTS, PLACES
@@ -76,6 +77,34 @@ def test_channels_alone_are_the_motion_of_one_wheelset(direction):
         expected = spatial_reference.alone(generator, rows[0].numpy(), frequency)
         scale = np.abs(expected).max()
         np.testing.assert_allclose(found[0, ..., column] / scale, expected / scale, atol=1e-9)
+
+
+@pytest.mark.parametrize("direction", ["forward", "reverse"])
+@pytest.mark.parametrize("parts", [(), ("bushings", "rubber", "frame_yaw", "torsion")])
+def test_strokes_are_the_motion_between_the_ends_of_dampers(parts, direction):
+    """All sensors are where springs and dampers are."""
+    generator = vehicle(parts, direction=direction, sensor_lateral_m=(1.0, 1.0, 1.0))
+    rows, bins = torch.ones(2, len(generator.columns), dtype=torch.float64), FREQUENCIES[::2]
+    rows[:, : len(COMPONENTS)] = rows_of(generator)[:, : len(COMPONENTS)]
+    channels = dict(zip(PLACES, generator.channels(rows, bins).movedim(2, 0), strict=True))
+    expected = []
+    for corner in CORNERS:
+        expected.append(channels[f"frame_{corner}"] - channels[f"axle_box_{corner}"])
+    for side in ("left", "right"):
+        expected.append(channels[f"body_{side}"] - channels[f"frame_centre_{side}"])
+    expected = torch.stack(expected, dim=2)
+    if "bushings" in parts:
+        numbers = spatial_reference.numbers(generator, rows[0])
+        for i, name in enumerate(name for name in COMPONENTS if name.startswith("c_")):
+            kind = "primary" if "_p" in name else "secondary"
+            damping = rows[:, COMPONENTS.index(name)] * numbers[f"healthy_{name[:3]}"]
+            stiffness = numbers[f"{kind}_bushing"]
+            of_damper = 1 / (1 + 2j * np.pi * bins * damping[:, None] / stiffness)
+            expected[:, :, i] *= of_damper[:, None]
+    found = generator.strokes(rows, bins)
+    assert found.shape == (2, len(generator.inputs), 6, len(bins))
+    scale = expected.abs().amax(dim=(1, 2), keepdim=True)
+    torch.testing.assert_close(found / scale, expected / scale, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -156,9 +156,12 @@ def fit_parts(
         beyond = beyond_noise(bogie, x[own])
         covariance = bogie.scatter.student(level) ** 2 * (covariance + beyond)
     names = PARAMETERS if equal else COMPONENTS
-    covariance = covariance + law.uncertainty(names, conditions)
+    faster = fit.own_speeds(x) if fit.has_speeds else np.zeros(len(COMPONENTS))
+    by_speed, of_law = law.beside(names, conditions, np.linalg.pinv(ties) @ faster)
+    covariance = covariance + of_law
     covariance[-1, -1] += BOGIE_MASS_DEVIATION**2
-    return PartsEstimate(np.exp(x[own]), covariance, misfit, end.converged, level, names)
+    values = np.exp(x[own] - by_speed)
+    return PartsEstimate(values, covariance, misfit, end.converged, level, names)
 
 
 def beyond_noise(bogie: CommissionedBogie, logs: FloatArray) -> FloatArray:

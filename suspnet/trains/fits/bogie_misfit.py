@@ -21,7 +21,7 @@ from suspnet.estimation.suspension_law import (
     USUAL,
     follows,
 )
-from suspnet.ground.parameters import COMPONENTS, PARAMETERS, Direction
+from suspnet.ground.parameters import COMPONENTS, CORNERS, PARAMETERS, SIDES, Direction
 from suspnet.ground.types import FloatArray
 from suspnet.trains.fits.bogie_residuals import Residuals
 from suspnet.trains.spectra.bogie_trip import BogieTrip, smallest_noise
@@ -51,6 +51,17 @@ def _are_same(frequencies_hz: Tensor, other_hz: Tensor) -> bool:
     """Return whether bins are the same but for rounding, as of segments of other lengths."""
     is_alike = frequencies_hz.shape == other_hz.shape
     return is_alike and torch.allclose(frequencies_hz, other_hz, rtol=0, atol=1e-9)
+
+
+def _input_spectra(signals: Tensor, responses: Tensor) -> Tensor:
+    """Return the spectra of the inputs, (n_freq, p, p), that explain spectra without noise best.
+
+    `signals` (n_freq, m, m), `responses` (n_freq, m, p).
+    """
+    inverse = torch.linalg.pinv(responses)
+    power, vectors = torch.linalg.eigh(inverse @ signals @ inverse.mH)
+    spectra: Tensor = vectors * power.clamp(min=0)[:, None] @ vectors.mH
+    return spectra
 
 
 @dataclass(frozen=True)
@@ -129,7 +140,7 @@ class BogieMisfit:
         """Number of slopes of the suspension's law that the trips tell."""
         if self.conditions is None or self.slopes is not None:
             return 0
-        return len(SLOPES) if self._has_speeds else N_OF_TEMPERATURE
+        return len(SLOPES) if self.has_speeds else N_OF_TEMPERATURE
 
     @property
     def n_shared(self) -> int:
@@ -156,7 +167,7 @@ class BogieMisfit:
     @property
     def n_free(self) -> int:
         """Number of coordinates of each trip that say how its dampers differ by chance."""
-        return N_OF_TEMPERATURE if self._has_speeds else 0
+        return N_OF_TEMPERATURE if self.has_speeds else 0
 
     @cached_property
     def _by_chance(self) -> FloatArray:
@@ -167,7 +178,7 @@ class BogieMisfit:
         return changes
 
     @property
-    def _has_speeds(self) -> bool:
+    def has_speeds(self) -> bool:
         """Whether the suspension depends on the speeds of the dampers."""
         return self.conditions is not None and "nonlinear_dampers" in self.generator.parts
 
@@ -374,13 +385,38 @@ class BogieMisfit:
         for i, (trip, noise) in enumerate(zip(self.trips, fit.noises, strict=True)):
             # bins that are left out are as expected, too
             responses = self._responses_at(x, i, self.frequencies_hz).permute(2, 1, 0)
-            inverse = torch.linalg.pinv(responses)
-            inputs = inverse @ (trip.spectra.values - noise) @ inverse.mH
-            power, vectors = torch.linalg.eigh(inputs)
-            inputs = vectors * power.clamp(min=0)[:, None] @ vectors.mH
+            inputs = _input_spectra(trip.spectra.values - noise, responses)
             values = responses @ inputs @ responses.mH + noise
             trips.append(replace(trip, spectra=replace(trip.spectra, values=values)))
         return replace(fit, trips=trips)
+
+    def own_speeds(self, x: FloatArray) -> FloatArray:
+        """Return how much faster the damper beside each part is than the pairs of sensors show.
+
+        It is the change, by the parts found on one later trip, of the logarithm of the damper's
+        speed over that of the pairs, for all inputs that explain the trip best; shape (13,), of the
+        mass 0.
+        """
+        trip, noise = self.trips[0], self.noises[0]
+        noise = torch.diag(noise) if noise.ndim == 1 else noise
+        healthy, first = x.copy(), self.n_shared + self.n_free
+        healthy[first : self.n_shared + self.n_parts] = 0.0
+        used, omega = trip.of(self.all_bins), 2 * torch.pi * self.frequencies_hz
+        found = self._responses_at(x, 0, self.frequencies_hz).permute(2, 1, 0)
+        inputs = _input_spectra(trip.spectra.values - noise, found)
+        ratios = []
+        for at in x, healthy:
+            responses = self._responses_at(at, 0, self.frequencies_hz).permute(2, 1, 0)
+            values = responses @ inputs @ responses.mH
+            expected = replace(trip, spectra=replace(trip.spectra, values=values))
+            pairs = np.nan_to_num(np.log(expected.damper_speeds(self._sensors)))
+            strokes = self._of(trip).strokes(self._rows(at, 0), self.frequencies_hz)
+            strokes = strokes[0, self._inputs].permute(2, 1, 0)
+            power = (strokes @ inputs * strokes.conj()).real.sum(dim=2) / omega[:, None] ** 2
+            speeds = np.log(power[used].sum(dim=0).numpy()) / 2
+            ratios.append(speeds - pairs.repeat((len(CORNERS), len(SIDES))))
+        beside = np.repeat(ratios[0] - ratios[1], 2)  # of spring and damper
+        return np.append(beside, 0.0)
 
     def with_chance_at(self, x: FloatArray) -> BogieMisfit:
         """Return the fit with the scatter of the dampers that healthy trips show at x.
