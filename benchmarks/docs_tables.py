@@ -10,7 +10,7 @@ are missing stays as it is, and is named.
 import csv
 import itertools
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import config_comments
@@ -39,43 +39,6 @@ ROOT = Path(__file__).parents[1]
 RESULTS = Path(__file__).parent / "results"
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 BLOCK = re.compile(r"(<!-- table (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
-CASES = {
-    "none": "as trained",
-    "healthy": "springs and dampers off the drawing",
-    "inertias": "radii of gyration off the drawing",
-    "geometry": "lengths off the drawing",
-    "bushings": "bushings of dampers",
-    "rubber": "rubber springs",
-    "guidance": "axle guidance",
-    "longitudinal": "longitudinal coupling",
-    "bending": "bending of the body",
-    "roll": "roll, cross level and alignment",
-    "roll, left": "roll, sensors on one side",
-    "contact": "elastic contact",
-    "vertical all": "all of these but roll",
-    "all": "all of these",
-    "all, left": "all of these, sensors on one side",
-    "all, 48 to 78 m/s": "all of these, 48 to 78 m/s",
-    "all+payload": "all, and laws of the payload of its own",
-    "all+sensors": "all, sensors 2 % off and 0.5 ms late",
-    "all+wheelsets": "all, each wheelset excited alone at 0.1 to 1 % of the track",
-    "all+wheelsets 0.1 %": "all, each wheelset excited alone at 0.1 % of the track",
-    "all+wheelsets 1 %": "all, each wheelset excited alone at 1 % of the track",
-    "all+wheelsets 5 %": "all, each wheelset excited alone at 5 % of the track",
-    "all+other bogie at 70 %": "all, c_s of the other bogie at 70 % on worn trips",
-    "all+other bogie flat": "all, air spring of the other bogie flat on worn trips",
-    "all+axle_box_arm": "all, axle boxes' sensors on their arms",
-    "all+second_bending": "all, and second bending",
-    "all+one_side": "all, wear on one side",
-    "all+blow_off": "all, dampers that blow off",
-    "all+friction": "all, friction in the rubber",
-}
-"""Cases of the table of foreign vehicles, in words."""
-OF_PAGE = (
-    *("none", "all", "all, left", "all+payload"),
-    *("all+second_bending", "all+one_side", "all+blow_off", "all+friction"),
-)
-"""Cases that the page of trust shows; mismatch.md has them all."""
 
 
 def markdown(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
@@ -197,58 +160,6 @@ def family(_: Sequence[Row]) -> str:
         if line[0] == above[0]:
             above[0] = ""
     return markdown(lines, ["part", "name", "meaning", "nominal", "deviation"])
-
-
-def digits(percent: float) -> str:
-    """Return two digits, all of those before the point."""
-    return f"{percent:.0f}" if percent >= 99.5 else f"{percent:.2g}"
-
-
-def mismatch(rows: Sequence[Row]) -> str:
-    """Return errors and intervals of trips of foreign trains; ValueError if there are no cases."""
-    if not all("case" in row for row in rows):
-        raise ValueError("results of another benchmark")
-    lines = []
-    for case in OF_PAGE:
-        nominal = of_trains(rows, case, "nominal")
-        some = of_trains(rows, case, "commissioned")
-        if not some:
-            continue
-        line = [CASES[case]]
-        for each in (nominal, some):
-            errors = [over_trains(same, "rms_percent") for same in each.values()]
-            line.append(", ".join(errors) or "-")
-        held = [f"{np.mean([r['coverage_percent'] for r in same]):.0f}" for same in some.values()]
-        widths = [
-            digits(np.median([r["half_width_percent"] for r in same])) for same in some.values()
-        ]
-        misfits = [row["misfit"] for row in next(iter(some.values()))]
-        lines.append(
-            [*line, ", ".join(widths), ", ".join(held), f"{max(misfits):.2f}", flagged(some)]
-        )
-    header = ["the train has", "nominal", "commissioned"]
-    return markdown(lines, [*header, "half widths", "hold %", "misfit", "flagged"])
-
-
-def of_trains(rows: Sequence[Row], case: str, reading: str) -> dict[str, list[Row]]:
-    """Return the rows of a case by output, a row for each train."""
-    found: dict[str, list[Row]] = {}
-    for row in rows:
-        if (row["case"], row["reading"]) == (case, reading) and "rms_percent" in row:
-            found.setdefault(row["output"], []).append(row)
-    return found
-
-
-def over_trains(rows: Sequence[Row], name: str) -> str:
-    """Return the root of the mean square of a column."""
-    return digits(float(np.sqrt(np.mean([row[name] ** 2 for row in rows]))))
-
-
-def flagged(by_output: Mapping[str, Sequence[Row]]) -> str:
-    """Return how many trips of some trains are flagged."""
-    for rows in by_output.values():
-        return f"{sum(r['n_flagged'] for r in rows)} of {sum(r['n_read'] for r in rows)}"
-    return "-"
 
 
 def against_n(rows: Sequence[Row]) -> str:
@@ -386,7 +297,6 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "paper": ("paper.csv", paper),
     "paper_impact": (None, paper_impact),
     "coverage": ("coverage.csv", interval_coverage.table),
-    "mismatch": ("mismatch.csv", mismatch),
     "family": (None, family),
     "against_n": ("against_n.csv", against_n),
     "plan": ("plan.csv", plan),
