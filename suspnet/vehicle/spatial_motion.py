@@ -102,15 +102,15 @@ class Joint:
 def coordinates(layout: Layout) -> tuple[str, ...]:
     """Return the names of the coordinates of a vehicle."""
     parts = layout.parts
-    rigid = ("z", "phi", "y", "theta", "z_1", "psi_1", "theta_1", "z_2", "psi_2", "theta_2")
-    further = {"bending": ("q",), **ADDITIONS}
+    rigid = ("z", "phi", "z_1", "psi_1", "z_2", "psi_2")
+    further = {"roll": ("y", "theta", "theta_1", "theta_2"), "bending": ("q",), **ADDITIONS}
     added = (name for part, names in further.items() if part in parts for name in names)
     return (*rigid, *added, *(f"z_{place}" for place in layout.floors))
 
 
 def wheel_inputs(parts: Sequence[str]) -> tuple[str, ...]:
     """Return the names of height, angle and lateral place of the track under each wheelset."""
-    kinds = "wxv" if is_lateral(parts) else "wx"
+    kinds = "wxv" if is_lateral(parts) else "wx" if "roll" in parts else "w"
     return tuple(f"{kind}{wheel}" for kind in kinds for wheel in range(1, 5))
 
 
@@ -451,7 +451,7 @@ def spatial_motion(layout: Layout, p: Mapping[str, Tensor], sensors: Sequence[st
     system = assembled([float(m) for m in masses(layout, p)], elements, seen, tuple(behind))
     return replace(
         system,
-        roll_per_m=math.sqrt(n["cross_level"]) / RAIL_LATERAL_M,
+        roll_per_m=math.sqrt(n["cross_level"]) / RAIL_LATERAL_M if "roll" in layout.parts else 0.0,
         alignment=math.sqrt(n["alignment"]) if is_lateral(layout.parts) else 0.0,
         lateral_m=(n["axle_box_lateral"], n["frame_lateral"], n["body_lateral"]),
     )

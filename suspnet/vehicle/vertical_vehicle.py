@@ -1,7 +1,7 @@
 """A family of vehicles: body and two bogies that pitch, four wheelsets on one track.
 
 `VehicleFamily` has the settings and uncertain numbers that all of them share. The equations are in
-`suspnet.vehicle.vertical_response`, the motion in time in `suspnet.vehicle.vertical_motion`.
+`suspnet.vehicle.vertical_response`, the motion in time in `suspnet.vehicle.spatial_motion`.
 """
 
 from __future__ import annotations
@@ -16,12 +16,19 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from suspnet.ground.parameters import FORWARD, REVERSE, Direction, End
+from suspnet.ground.parameters import COMPONENTS, FORWARD, REVERSE, SIDES, Direction, End
 from suspnet.ground.settings import Setting, check_choice, check_number, check_settings, setting
 from suspnet.ground.tensors import as_tensor, check_device
 from suspnet.vehicle.motion import LinearSystem
-from suspnet.vehicle.quantities import PARTS, QUANTITIES, LogNormal, Quantity
+from suspnet.vehicle.quantities import (
+    PARTS,
+    QUANTITIES,
+    SPATIAL_QUANTITIES,
+    LogNormal,
+    Quantity,
+)
 from suspnet.vehicle.quarter_car import QuarterCar
+from suspnet.vehicle.spatial_motion import spatial_motion
 from suspnet.vehicle.vehicle import (
     GEOMETRY,
     PARAMETERS,
@@ -31,11 +38,7 @@ from suspnet.vehicle.vehicle import (
     check_ratios,
     check_vehicle,
 )
-from suspnet.vehicle.vertical_motion import (
-    Layout,
-    laden,
-    vertical_motion,
-)
+from suspnet.vehicle.vertical_motion import Layout, laden
 from suspnet.vehicle.vertical_response import bounced, excited, moved, phasor, rolled, wheels_of
 
 OTHER_END: dict[End, End] = {"leading": "trailing", "trailing": "leading"}
@@ -347,8 +350,15 @@ class VerticalVehicle(VehicleFamily, ResponseGenerator):
         Sensitivity and delay of sensors, and what excites single wheelsets, are no part of it.
         """
         felt = tuple(part for part in self.parts if part != "roll" or self.rolls)
-        layout = replace(self._layout, parts=felt)
-        return vertical_motion(layout, self._numbers(as_tensor(ratios)[None]))
+        # twelve separate springs and dampers, of which those of a kind are equal
+        p = {q.name: torch.tensor([[q.nominal or 1.0]]) for q in SPATIAL_QUANTITIES}
+        p |= self._numbers(as_tensor(ratios)[None])
+        for whose in "", "other_":
+            p |= {f"{whose}{name}": p[f"{whose}{name[:3]}"] for name in COMPONENTS[:-1]}
+        sides = SIDES if self.rolls else ("middle",)
+        frame = "frame_axle1" if self.frame_sensor == "axle" else "frame_centre"
+        places = [f"{place}_{side}" for side in sides for place in (frame, "body")]
+        return spatial_motion(replace(self._layout, parts=felt), p, places)
 
 
 def _gain(p: Mapping[str, Tensor], sensor: str, omega: Tensor) -> Tensor:
