@@ -209,11 +209,6 @@ def guidance_element(p: Mapping[str, Tensor]) -> Element:
     )
 
 
-def longitudinal_element(p: Mapping[str, Tensor]) -> Element:
-    """Return the longitudinal links between body and bogie, for one side."""
-    return Element(p["longitudinal_stiffness"], p["longitudinal_damping"])
-
-
 def yaw_damper_element(p: Mapping[str, Tensor]) -> Element:
     """Return one yaw damper in series with its bushings."""
     damping = p["yaw_damping"]
@@ -232,7 +227,8 @@ def links_of(p: Mapping[str, Tensor], parts: Sequence[str]) -> list[tuple[Elemen
     body, bogie = p["body_lever"], p["bogie_lever"]
     links = []
     if "longitudinal" in parts:
-        links.append((longitudinal_element(p), body, bogie))
+        link = Element(p["longitudinal_stiffness"], p["longitudinal_damping"])
+        links.append((link, body, bogie))
     if "yaw_dampers" in parts:
         height = p["yaw_height"]
         links.append((yaw_damper_element(p), body - height, bogie + height))
