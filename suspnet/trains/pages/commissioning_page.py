@@ -168,23 +168,21 @@ def _trips(
     healthy: HealthyTrips, outcome: Commissioned, misfits: Sequence[float]
 ) -> list[dict[str, Any]]:
     """Return what page and JSON show of each trip."""
-    rows, loads_m = [], outcome.bogie.loads_m
-    for i, (manifest, trip) in enumerate(zip(healthy.manifests, healthy.of_parts, strict=True)):
-        ratio = float(outcome.bogie.masses[i])
-        rows.append(
-            {
-                "name": manifest.name,
-                "mileage_km": manifest.mileage_km,
-                "start": "" if manifest.start is None else manifest.start.isoformat(),
-                "mass_ratio": ratio,
-                "mass_kg": ratio * outcome.generator.vehicle.body_mass_kg,
-                "centre_m": [] if loads_m is None else loads_m[i].tolist(),
-                "speed_m_per_s": trip.speed_m_per_s,
-                "n_averages": trip.spectra.n_averages,
-                "misfit": misfits[i],
-            }
-        )
-    return rows
+    loads_m, masses = outcome.bogie.loads_m, outcome.bogie.masses.tolist()
+    return [
+        {
+            "name": manifest.name,
+            "mileage_km": manifest.mileage_km,
+            "start": "" if manifest.start is None else manifest.start.isoformat(),
+            "mass_ratio": masses[i],
+            "mass_kg": masses[i] * outcome.generator.vehicle.body_mass_kg,
+            "centre_m": [] if loads_m is None else loads_m[i].tolist(),
+            "speed_m_per_s": trip.speed_m_per_s,
+            "n_averages": trip.spectra.n_averages,
+            "misfit": misfits[i],
+        }
+        for i, (manifest, trip) in enumerate(zip(healthy.manifests, healthy.of_parts, strict=True))
+    ]
 
 
 def responses(

@@ -6,15 +6,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 from matplotlib.figure import Figure
 
 from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import BODY_MASS, KIND_NAMES, Severity, part_words
 from suspnet.ground.records import INTERVAL_LEVEL, OK, Commissioning, TripResult, by_mileage
-from suspnet.ground.wording import span, thousands, unbroken
+from suspnet.ground.wording import span, thousands
 from suspnet.runs.figures import data_uri
-from suspnet.runs.language import N_, decimal, gettext, spoken
+from suspnet.runs.language import decimal, gettext, spoken
 from suspnet.trains.maintenance.alarms import Acknowledgement, newest_of
 from suspnet.trains.maintenance.assessment import Assessment, joined, overall, worst_first
 from suspnet.trains.maintenance.series import N_LAST
@@ -155,35 +156,22 @@ def wheels_finding(trips: Sequence[TripResult]) -> str:
     return Finding(kind, **newest, n=len(affected), n_last=len(last))
 
 
-def _headline(trips: Sequence[TripResult]) -> dict[str, str]:
+def _headline(trips: Sequence[TripResult]) -> dict[str, Any]:
+    """Return what the head of the page says; texts are empty where nothing is known."""
     mileage = [r.mileage_km for r in trips if math.isfinite(r.mileage_km)]
-    between = gettext("unknown")
-    if mileage:
-        ends = span(thousands(min(mileage)), thousands(max(mileage)))
-        between = unbroken(f"{spoken(ends)} km")
-    starts = sorted(r.start for r in trips if r.start)
-    counts = gettext("%(n)s, of which %(done)s with an estimate") % {
-        "n": len(trips),
-        "done": sum(r.status == OK for r in trips),
-    }
-    if n_flagged := sum(bool(r.flags) for r in trips):
-        counts += ", " + gettext("%(n)s of these flagged") % {"n": n_flagged}
+    starts = sorted(r.start[:10] for r in trips if r.start)
     misfits = [r.quality.misfit for r in trips if math.isfinite(r.quality.misfit)]
-    misfit = ""
-    if misfits:
-        ends = span(f"{min(misfits):.2f}", f"{max(misfits):.2f}")
-        noise = gettext("%(between)s times the noise; 1 is noise alone")
-        misfit = noise % {"between": spoken(ends)}
     places = dict.fromkeys(spoken(str(r.place)) for r in trips if r.place.suspension)
-    texts = {
-        N_("Vehicle"): ", ".join(dict.fromkeys(r.vehicle for r in trips if r.vehicle)),
-        N_("Suspension"): "; ".join(places),
-        N_("Mileage"): between,
-        N_("Dates"): spoken(span(starts[0][:10], starts[-1][:10])) if starts else "",
-        N_("Trips"): counts,
-        N_("Misfit"): misfit,
+    return {
+        "vehicle": ", ".join(dict.fromkeys(r.vehicle for r in trips if r.vehicle)),
+        "suspension": "; ".join(places),
+        "km": span(thousands(min(mileage)), thousands(max(mileage))) if mileage else "",
+        "dates": span(starts[0], starts[-1]) if starts else "",
+        "misfit": span(f"{min(misfits):.2f}", f"{max(misfits):.2f}") if misfits else "",
+        "n": len(trips),
+        "n_done": sum(r.status == OK for r in trips),
+        "n_flagged": sum(bool(r.flags) for r in trips),
     }
-    return {label: text for label, text in texts.items() if text}
 
 
 def _doubts(trips: Sequence[TripResult]) -> str:
