@@ -42,7 +42,8 @@ class Quantity:
     standard deviation of its logarithm, 0 if it is taken as known; `unit` that of the nominal
     value, "" for ratios; `nominal` None if the vehicle or the generator's settings give it. If it
     `may_be_absent` (0), `deviation` is that of log(1 + ratio to nominal). The prior
-    `median` of the ratio is 0 for what is usually absent and of either sign.
+    `median` of the ratio is 0 for what is usually absent and of either sign. `symbol` is that in
+    the equations of the vehicle, if it has one.
     """
 
     part: str
@@ -53,6 +54,7 @@ class Quantity:
     nominal: float | None = None
     may_be_absent: bool = False
     median: float = 1.0
+    symbol: str = ""
 
     @property
     def offset(self) -> float:
@@ -141,6 +143,7 @@ def _read(of: str, each: Sequence[str] = ("",)) -> list[Quantity]:
             float(row["nominal"]) if row["nominal"] else None,
             row["may_be_absent"] == "yes",
             float(row["median"] or 1.0),
+            row["symbol"],
         )
         for row in rows
         for name in each

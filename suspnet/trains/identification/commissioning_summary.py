@@ -60,19 +60,6 @@ PART_TITLES = {
     "body_torsion": "Torsion of the car body",
     "floors": "Local floors below the sensors",
 }
-SYMBOLS = {
-    **{f"healthy_{name}": name for name in PARAMETERS[:4]},
-    "half_wheelbase": "a",
-    "half_pivot_distance": "L",
-    "bogie_gyration": "\N{GREEK SMALL LETTER RHO}_b",
-    "body_gyration": "\N{GREEK SMALL LETTER RHO}_c",
-    "body_lever": "h_2",
-    "bogie_lever": "h_3",
-    "bending_at_pivot": "p",
-    "bending_slope": "\N{GREEK SMALL LETTER SIGMA}",
-    "arm_share": "e",
-}
-"""Symbols of those quantities that have one in the equations of the vehicle."""
 
 
 @dataclass(frozen=True)
@@ -284,7 +271,7 @@ def cells(number: Number) -> dict[str, Any]:
     scale, unit = _unit(number)
     quantity = number.quantity
     return {
-        "symbol": SYMBOLS.get(quantity.name, ""),
+        "symbol": quantity.symbol,
         "unit": unit or "1",
         "prior": _value(*number.prior, scale),
         "posterior": _value(*number.posterior, scale),
