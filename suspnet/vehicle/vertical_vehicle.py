@@ -240,12 +240,6 @@ class VehicleFamily:
         place = bogie, axle, self.frame_sensor, ahead_m
         return Layout(*place, self.parts, self.vehicle.body_mass_kg)
 
-    def _prepared(
-        self, ratios: ArrayLike, frequencies_hz: ArrayLike
-    ) -> tuple[dict[str, Tensor], Tensor]:
-        """Return every number of the vehicles in SI units, and the angular frequencies [rad/s]."""
-        return self._numbers(ratios), angular(frequencies_hz, self.device)
-
     def _rows(self, ratios: ArrayLike) -> Tensor:
         return self.complete(as_tensor(ratios).to(self.device, torch.float64))
 
@@ -299,7 +293,7 @@ class VerticalVehicle(VehicleFamily, ResponseGenerator):
         relative to nominal. ValueError if it has another shape or a value that is not positive and
         finite (not above -1 for numbers that may be absent).
         """
-        p, omega = self._prepared(ratios, frequencies_hz)
+        p, omega = self._numbers(ratios), angular(frequencies_hz, self.device)
         wheels = wheels_of(self._layout, p, omega)
         box, frame, body = (moved(place, wheels) for place in self._felt(p, omega))
         return frame / box, body / frame
@@ -311,7 +305,7 @@ class VerticalVehicle(VehicleFamily, ResponseGenerator):
         wheelsets, then the cross level if `rolls`, scaled such that each input has the density of
         the mean.
         """
-        p, omega = self._prepared(ratios, frequencies_hz)
+        p, omega = self._numbers(ratios), angular(frequencies_hz, self.device)
         places, wheels = self._felt(p, omega), wheels_of(self._layout, p, omega)
         channels = excited(self._layout, p, wheels, places)
         if not self.rolls:
