@@ -1,4 +1,4 @@
-"""Springs and dampers of a vehicle, and its motion in time assembled from them.
+"""Springs and dampers of a vehicle.
 
 Each element is a spring, a damper and Maxwell branches (a spring b in series with a damper b / r)::
 
@@ -16,9 +16,6 @@ Lambda(s) = sum_i l_i (s / (s + r_i) - (its real part at 2.7 Hz)) is a ladder of
 (``LOSS_HZ``, ``LOSS_SHARES``). From 0.3 to 20 Hz its imaginary part is 1 within 1.3 %; the
 stiffness increases with frequency, as causality requires: (1 - 1.5 eta) k at 0.3 Hz, k at 2.7 Hz,
 (1 + 1.4 eta) k at 20 Hz.
-
-Motion: each of them acts along a stretch u = g z - h w of coordinates z and inputs w, and adds an
-outer product: k g g^T to the stiffness, k g h^T to that of the input.
 """
 
 from __future__ import annotations
@@ -26,14 +23,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
-
-from suspnet.ground.types import FloatArray
-from suspnet.vehicle.motion import Branch, LinearSystem
 
 LOSS_HZ = (0.2, 1.0, 5.0, 25.0)
 """Relaxation frequencies of the branches that represent a loss factor, [Hz]."""
@@ -256,48 +249,3 @@ def laden(p: dict[str, Tensor], empty_kg: float) -> dict[str, Tensor]:
     changed["bending_frequency"] = p["bending_frequency"] * mass ** (0.5 - p["bending_exponent"])
     changed["body_gyration"] = p["body_gyration"] * mass ** p["gyration_exponent"]
     return p | changed
-
-
-class Acting(NamedTuple):
-    """An element with the vector (g, -h) of its stretch over coordinates and inputs.
-
-    `pull` is the vector of its force, None where that is the stretch's: creep pulls elsewhere.
-    """
-
-    element: Element
-    stretch: FloatArray
-    pull: FloatArray | None = None
-
-
-def assembled(
-    masses: list[float], acting: list[Acting], sensors: FloatArray, behind_m: tuple[float, ...]
-) -> LinearSystem:
-    """Return the system of these masses, with each element added along its stretch."""
-    n, n_all = len(masses), sensors.shape[1]
-    stiffness, damping = np.zeros((2, n_all, n_all))
-    branches = []
-    for element, stretch, pull in acting:
-        k, c, relaxing = element.causal()
-        square = np.outer(stretch if pull is None else pull, stretch)
-        stiffness += k * square
-        damping += c * square
-        branches += [Branch(b, rate, stretch[:n], -stretch[n:]) for rate, b in relaxing.items()]
-    return LinearSystem(
-        mass=np.diag(masses),
-        damping=damping[:n, :n],
-        stiffness=stiffness[:n, :n],
-        input_damping=-damping[:n, n:],
-        input_stiffness=-stiffness[:n, n:],
-        sensors=sensors[:, :n],
-        feedthrough=sensors[:, n:] if sensors[:, n:].any() else None,
-        behind_m=behind_m,
-        branches=tuple(branches),
-    )
-
-
-def behind_of(n: Mapping[str, float], bogie: str, axle: str) -> tuple[float, ...]:
-    """Return the distances of the wheelsets behind the measured one, its own bogie first, [m]."""
-    shift = n["half_wheelbase"] if axle == "leading" else -n["half_wheelbase"]
-    pivots = 2 * n["half_pivot_distance"] * (1 if bogie == "leading" else -1)
-    offsets = [shift - n["half_wheelbase"], shift + n["half_wheelbase"]]
-    return (*offsets, *(pivots + distance for distance in offsets))
