@@ -48,7 +48,7 @@ def prepare(n_inputs: int, n: int, group: str, path: Path) -> None:
             ],
         )
     task = build(config, "protocol").task(group)
-    n_train = "all" if n >= task.grid_size else n
+    n_train = "all" if n >= sum(task.grid_sizes) else n
     settings = replace(build(config, "data"), n_train=n_train, n_test=4000)
     problem = Problem(build(config, "generator"), task, settings, config.seed, joblib.cpu_count())
     train = problem.features(TRAIN).complete()

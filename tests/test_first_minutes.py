@@ -13,8 +13,7 @@ from suspnet.cli import check, demo, init, simulate
 from suspnet.cli.config_files import CONFIGS
 
 PAGE = ROOT / "docs" / "getting_started.md"
-N_TRIPS = 2
-SMALL = [f"fleet.n_trips={N_TRIPS}", "fleet.minutes=3.2", "workers=1", "progress=false"]
+SMALL = ["fleet.n_trips=1", "fleet.minutes=3.2", "workers=1", "progress=false"]
 
 
 def test_three_csv_files_become_trips_that_are_ready(tmp_path, monkeypatch):
@@ -30,10 +29,11 @@ def test_three_csv_files_become_trips_that_are_ready(tmp_path, monkeypatch):
     line = next(code for code in shell if code.startswith("suspnet init mine vehicle="))
     done = typed(init, *shlex.split(line)[2:], cwd=tmp_path)
     expected = next(code for code in shell if code.startswith("-> mine"))
-    assert done.stdout.strip() == expected.replace("10", str(N_TRIPS))
+    expected = expected.replace("10 manifests of 10 trips", "1 manifest of 1 trip")
+    assert done.stdout.strip() == expected.replace("(10)", "(1)")
     done = typed(check, "mine", "--no-pictures", cwd=tmp_path)
-    assert "2 of 2 trips ready for an estimate" in done.stdout, done.stdout
-    assert "2 of 2 trips ready, 30800 to 61600 km, at 70.0 m/s" in done.stdout
+    assert "1 of 1 trip ready for an estimate" in done.stdout, done.stdout
+    assert "1 of 1 trip ready, 30800 km, at 70.0 m/s" in done.stdout
 
 
 @pytest.mark.slow

@@ -92,11 +92,7 @@ class CurveFeatures:
 
     kind: ClassVar[str] = "curve"
     positive: ClassVar[bool] = False  # features may have any sign: no logarithm is taken of them
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """Names of the columns of the reason codes."""
-        return ("curve",)
+    parts: ClassVar[tuple[str, ...]] = ("curve",)  # names of the columns of the reason codes
 
     def __post_init__(self) -> None:
         check_settings(self)

@@ -209,11 +209,6 @@ class CurveSettings(Counts):
         n_bins = math.floor((self.high_hz - self.low_hz) / self.step_hz + 1e-9) + 1
         return self.low_hz + self.step_hz * torch.arange(n_bins, dtype=torch.float64)
 
-    @property
-    def in_decibels(self) -> bool:
-        """Whether the noise is added to the decibels of the magnitudes."""
-        return self.noise_on == "decibel"
-
 
 @dataclass(frozen=True)
 class CurveObserver:
@@ -240,7 +235,7 @@ class CurveObserver:
         """Return noisy magnitudes, with the generator's uncertain quantities drawn as well."""
         rows = self.generator.sample_unmeasured(ratios, seed)
         clean, snr_db = self.noise_free(rows), self.settings.snr_db
-        if self.settings.in_decibels:
+        if self.settings.noise_on == "decibel":
             return 10 ** (add_noise(decibels(clean), snr_db, seed) / 20)
         return add_noise(clean, snr_db, seed)
 
@@ -277,7 +272,7 @@ class CurveMisfit:
         """Return residuals (n, n_points) of the vehicles `ratios` (n, 5) to the curves `rows`."""
         observed = self.observed[rows][:, list(self.used)]
         expected = self.observer.noise_free(ratios)[:, list(self.used)]
-        if self.observer.settings.in_decibels:
+        if self.observer.settings.noise_on == "decibel":
             observed, expected = decibels(observed), decibels(expected)
         rms = noise_rms(observed, self.observer.settings.snr_db)
         return ((observed - expected) / rms).flatten(1)

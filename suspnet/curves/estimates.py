@@ -149,30 +149,23 @@ class EstimateSettings(Counts):
 
     def bound(self, vehicle: Vehicle) -> EstimateSettings:
         """Return the settings with missing ends of the band filled in from the vehicle."""
-        modes, _ = QuarterCar(vehicle).natural_modes()
-        low = LOWEST_MODE * float(modes[0]) if self.low_hz is None else self.low_hz
-        high = min(HIGHEST_MODE * float(modes[1]), HIGHEST_HZ)
-        if self.high_hz is not None:
-            high = self.high_hz
-        body_high = min(high, HIGHEST_OF_BODY * float(modes[1]))
-        if self.body_high_hz is not None:
-            body_high = self.body_high_hz
-        half_width = self.speed_half_width
-        bound = replace(
-            self,
-            low_hz=low,
-            high_hz=high,
-            body_high_hz=body_high,
-            speed_half_width=SPEED_HALF_WIDTH if half_width is None else half_width,
-        )
+        first, second = (float(mode) for mode in QuarterCar(vehicle).natural_modes()[0])
+        high = min(HIGHEST_MODE * second, HIGHEST_HZ) if self.high_hz is None else self.high_hz
+        usual: dict[str, Any] = {
+            "low_hz": LOWEST_MODE * first,
+            "high_hz": high,
+            "body_high_hz": min(high, HIGHEST_OF_BODY * second),
+            "speed_half_width": SPEED_HALF_WIDTH,
+        }
+        missing = {name: value for name, value in usual.items() if getattr(self, name) is None}
+        bound = replace(self, **missing)
         bins = bound.frequencies_hz()
-        for name, end, n_bins in (
-            ("high_hz", high, len(bins)),
-            ("body_high_hz", body_high, int((bins <= body_high + 1e-9).sum())),
-        ):
+        for name in ("high_hz", "body_high_hz"):
+            end = getattr(bound, name)
+            n_bins = int((bins <= end + 1e-9).sum())
             if n_bins < 8:
                 raise ValueError(
-                    f"between data.low_hz={low:.3g} and data.{name}={end:.3g} Hz lie "
+                    f"between data.low_hz={bound.low_hz:.3g} and data.{name}={end:.3g} Hz lie "
                     f"{n_bins} bins; at least 8 are needed"
                 )
         return bound

@@ -108,14 +108,10 @@ class Problem:
 
     def ratios(self, stream: int) -> FloatArray:
         """Return the parameter ratios of a stream's vehicles, shape (n_curves, 5), [-]."""
-        wanted = self._wanted(stream)
-        n_curves = None if wanted == "all" else int(wanted)
-        return self.task.sample(n_curves, self.seed, stream)
-
-    def _wanted(self, stream: int) -> int | str:
         settings = self.settings
         assert settings.n_train is not None  # filled in above
-        return (settings.n_train, settings.n_test, settings.n_calibrate or 0)[stream]
+        wanted = (settings.n_train, settings.n_test, settings.n_calibrate or 0)[stream]
+        return self.task.sample(None if wanted == "all" else int(wanted), self.seed, stream)
 
     def curves(self, ratios: FloatArray, stream: int, block: int) -> Tensor:
         """Return the noisy curves of one block of vehicles, shape (<= BLOCK, 2, n_freq)."""

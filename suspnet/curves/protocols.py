@@ -163,11 +163,6 @@ class Task:
         return np.clip(ratios, ranges[:, 0] / reach, ranges[:, 1] * reach)
 
     @property
-    def grid_size(self) -> int:
-        """Number of curves of the full grids of all sets."""
-        return sum(self.grid_sizes)
-
-    @property
     def grid_sizes(self) -> list[int]:
         """Number of curves of the full grid of each set."""
         return [math.prod(len(self.levels(name)) for name in s) for s in self.varied_sets]
@@ -187,7 +182,7 @@ class Task:
 
     def _grid(self, n_curves: int | None, seed: int, stream: int) -> FloatArray:
         """Return the ratios of a stream's points of the grids, shape (n_curves, 5)."""
-        total = self.grid_size
+        total = sum(self.grid_sizes)
         if n_curves is None:
             chosen = np.arange(total)
         elif n_curves > total:
@@ -339,10 +334,11 @@ class Protocol:
         if missing:
             raise ValueError(f"group {group!r} of protocol {self.name!r} lacks {sorted(missing)}")
         outputs = tuple(_known(entry["outputs"], PARAMETERS[:4], "outputs"))
+        varied = [(*outputs, BODY_MASS)] if self.varied is None else self.varied
         return Task(
             protocol=self.name,
             group=group,
-            varied_sets=self._varied_sets(outputs),
+            varied_sets=tuple(map(tuple, varied)),
             outputs=(*outputs, BODY_MASS) if self.estimate_mass else outputs,
             responses=tuple(entry["responses"]),
             extractor=self._extractor(entry),
@@ -351,11 +347,6 @@ class Protocol:
             **{name: getattr(self, name) for name in SHARED}
             | {"test_sampling": self.test_sampling or self.sampling},
         )
-
-    def _varied_sets(self, outputs: Sequence[str]) -> tuple[tuple[str, ...], ...]:
-        if self.varied is None:
-            return ((*outputs, BODY_MASS),)
-        return tuple(tuple(names) for names in self.varied)
 
     def _extractor(self, entry: Mapping[str, Sequence[str]]) -> FeatureSet:
         if self.feature_set == "curve":

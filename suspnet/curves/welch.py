@@ -83,8 +83,10 @@ class Welch:
         The weights of the average of `n_bins` bins, an odd number, are the mean of theirs.
         """
         transform = np.fft.fft(get_window(self.window, 256)) / 256
-        taps = _symmetric(np.abs(transform) ** 2)
-        return torch.as_tensor(np.convolve(taps, np.full(n_bins, 1 / n_bins)))
+        power = np.abs(transform) ** 2
+        last = int(np.flatnonzero(power[:128] > NEGLIGIBLE * power[0])[-1])
+        taps = np.concatenate([power[last:0:-1], power[: last + 1]])
+        return torch.as_tensor(np.convolve(taps / taps.sum(), np.full(n_bins, 1 / n_bins)))
 
     @property
     def correlated_bins(self) -> float:
@@ -109,14 +111,6 @@ def _correlation(window: str) -> FloatArray:
     transform = np.fft.fft(get_window(window, 256) ** 2)
     rho = np.abs(transform[:128] / transform[0]) ** 2
     return np.asarray(rho[: np.flatnonzero(rho > NEGLIGIBLE)[-1] + 1])
-
-
-def _symmetric(power: FloatArray) -> Tensor:
-    """Return power[-k] to power[k], scaled to sum 1; k is the last bin that is not negligible."""
-    half = len(power) // 2
-    k = int(np.flatnonzero(power[:half] > NEGLIGIBLE * power[0])[-1])
-    taps = np.concatenate([power[k:0:-1], power[: k + 1]])
-    return torch.as_tensor(taps / taps.sum())
 
 
 @dataclass(frozen=True)

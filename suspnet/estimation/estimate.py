@@ -70,21 +70,9 @@ class Estimate:
     misfit: float = np.nan
     lost: tuple[str, ...] = ()
 
-    def widened(self, deviations: FloatArray) -> Estimate:
-        """Return the estimates with intervals that hold one more, independent error.
-
-        With h the half width in logarithms, `deviations` (n_outputs,) or (n, n_outputs) those of
-        the error and z the normal quantile of the level: (half width)^2 = h^2 + (z deviation)^2.
-        """
-        z = stats.norm.ppf((1 + self.level) / 2)
-        return self._with_half_widths(np.hypot(self.half_widths, z * deviations))
-
     def scaled(self, factor: float) -> Estimate:
         """Return the estimate with half widths multiplied by a factor."""
-        return self._with_half_widths(factor * self.half_widths)
-
-    def _with_half_widths(self, half: FloatArray) -> Estimate:
-        low, high = interval_ends(self.values, half)
+        low, high = interval_ends(self.values, factor * self.half_widths)
         return replace(self, low=low, high=high)
 
     @property

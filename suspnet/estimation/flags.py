@@ -22,14 +22,6 @@ from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import BODY_MASS
 from suspnet.ground.types import BoolArray, FloatArray
 
-BOGIE_NOT_CONVERGED = (
-    "the search for the healthy bogie did not end within its steps when it was commissioned, so "
-    "that a wrong part may be named and intervals are too narrow: commission again with more "
-    "healthy trips of several payloads and speeds, and with sensors at the axle boxes where there "
-    "are none"
-)
-"""Flag of every trip of which each part is compared with such a bogie."""
-
 N_REFERENCE, N_NEIGHBOURS = 4096, 4
 """Number of training features that the detector stores, and of the nearest neighbours over which
 the distance is averaged."""

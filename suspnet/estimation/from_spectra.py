@@ -60,11 +60,6 @@ OF_THE_TRAINING = ("cloud", "range")
 FAILED_FROM, FAILED_GAIN = 1.3, 1.1
 """Misfit of a trip from which failures of the other bogie are tried, and how much smaller a failure
 has to make it."""
-INCOHERENT = (
-    "at no frequency do axle box, frame and body move together: look at the sensors and their "
-    "cables"
-)
-"""Why a trip has no estimate."""
 CONFIRMED = 1.05
 """A calibration confirms the deviations of refined estimates up to this factor on them."""
 
@@ -183,7 +178,7 @@ def _refined(
     """
     misfit = observer.measured_misfit(spectra)
     if not misfit.covariance.diagonal(dim1=1, dim2=2).real.isfinite().any():
-        raise NoEstimateError(INCOHERENT)
+        raise NoEstimateError(Finding("incoherent"))
     best, failure = refine(method.task, misfit, predicted, directions=observer.directions), ""
     usual = observer.generator
     if not isinstance(usual, VerticalVehicle) or usual.distribution is None:

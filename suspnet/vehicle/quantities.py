@@ -42,7 +42,8 @@ class Quantity:
     standard deviation of its logarithm, 0 if it is taken as known; `unit` that of the nominal
     value, "" for ratios; `nominal` None if the vehicle or the generator's settings give it. If it
     `may_be_absent` (0), `deviation` is that of log(1 + ratio to nominal). The prior
-    `median` of the ratio is 0 for what is usually absent and of either sign.
+    `median` of the ratio is 0 for what is usually absent and of either sign. `symbol` is that in
+    the equations of the vehicle, if it has one.
     """
 
     part: str
@@ -53,6 +54,7 @@ class Quantity:
     nominal: float | None = None
     may_be_absent: bool = False
     median: float = 1.0
+    symbol: str = ""
 
     @property
     def offset(self) -> float:
@@ -123,22 +125,28 @@ LATERAL = ("frame_sway", "frame_yaw", "creep")
 """Parts with which the alignment of the track reaches the bogie frames."""
 
 
-def _read(vehicle: str) -> list[Quantity]:
-    """Return the rows of quantities.csv that are of a vehicle, "vertical" or "spatial"."""
+def _read(of: str, each: Sequence[str] = ("",)) -> list[Quantity]:
+    """Return the rows of quantities.csv that are `of` a "vertical" or "spatial" vehicle.
+
+    Those of a "component" or "place" of the spatial one are a number for `each`, whose name is in
+    place of "{}".
+    """
     with (Path(__file__).parent / "quantities.csv").open(encoding="utf-8", newline="") as file:
-        rows = [row for row in csv.DictReader(file) if row["vehicle"] == vehicle]
+        rows = [row for row in csv.DictReader(file) if row["of"] == of]
     return [
         Quantity(
             "other_bogie" if row["name"] in OF_THE_TRIP else row["part"],
-            row["name"],
+            row["name"].format(name),
             float(row["deviation"]),
             row["unit"],
-            row["meaning"],
+            row["meaning"].format(name),
             float(row["nominal"]) if row["nominal"] else None,
             row["may_be_absent"] == "yes",
             float(row["median"] or 1.0),
+            row["symbol"],
         )
         for row in rows
+        for name in each
     ]
 
 
@@ -150,41 +158,7 @@ QUANTITIES = (
 """Every number of a vertical vehicle, in the order of ``UNMEASURED``."""
 UNMEASURED = tuple(quantity.name for quantity in QUANTITIES)
 """Names of the quantities: columns of ratios after ``PARAMETERS``, the speed first."""
-_OWN = {"healthy": "healthy {} over the mean of its kind"}
-_OWN |= {"other": "{} of the other bogie over the mean of its kind"}
-FLOOR = "the local floor below"
-CROSS_AXIS = "share of the lateral motion that is read by"
-SPATIAL_QUANTITIES = (
-    *(
-        Quantity("", f"{whose}_{name}", 0.05, "", meaning.format(name))
-        for whose, meaning in _OWN.items()
-        for name in COMPONENTS[:-1]
-    ),
-    *_SPATIAL,
-    *(Quantity("sensors", f"gain_{p}", 0.02, "", f"sensitivity of {p}", 1.0) for p in PLACES),
-    *(
-        Quantity("sensors", f"delay_{p}", 0.1, "s", f"delay of {p}", 5e-3, True, 0.0)
-        for p in PLACES
-    ),
-    *(
-        Quantity("floors", f"floor_mass_{p}", 1.0, "kg", f"mass of {FLOOR} {p}", 50.0)
-        for p in PLACES
-    ),
-    *(
-        Quantity(
-            "floors", f"floor_softness_{p}", 0.5, "s²", f"softness of {FLOOR} {p}", 1.3e-4, True
-        )
-        for p in PLACES
-    ),
-    *(
-        Quantity("floors", f"floor_damping_{p}", 0.5, "1/s", f"damping of {FLOOR} {p}", 10.0)
-        for p in PLACES
-    ),
-    *(
-        Quantity("cross_axis", f"cross_axis_{p}", 0.1, "", f"{CROSS_AXIS} {p}", 0.25, True, 0.0)
-        for p in PLACES
-    ),
-)
+SPATIAL_QUANTITIES = (*_read("component", COMPONENTS[:-1]), *_SPATIAL, *_read("place", PLACES))
 """Numbers that only a vehicle of twelve separate springs and dampers has. Sensitivity and delay of
 a sensor are relative to the first one of the vehicle's list."""
 _KNOWN = {quantity.name: quantity for quantity in (*QUANTITIES, *SPATIAL_QUANTITIES)}

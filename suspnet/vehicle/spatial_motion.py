@@ -52,7 +52,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -60,15 +60,12 @@ import torch
 from torch import Tensor
 
 from suspnet.ground.types import FloatArray
-from suspnet.vehicle.motion import LinearSystem
+from suspnet.vehicle.motion import Branch, LinearSystem
 from suspnet.vehicle.quantities import ADDITIONS, LATERAL
 from suspnet.vehicle.vertical_motion import (
     RAIL_LATERAL_M,
-    Acting,
     Element,
     Layout,
-    assembled,
-    behind_of,
     guidance_element,
     lateral_element,
     links_of,
@@ -106,15 +103,15 @@ class Joint:
 def coordinates(layout: Layout) -> tuple[str, ...]:
     """Return the names of the coordinates of a vehicle."""
     parts = layout.parts
-    rigid = ("z", "phi", "y", "theta", "z_1", "psi_1", "theta_1", "z_2", "psi_2", "theta_2")
-    further = {"bending": ("q",), **ADDITIONS}
+    rigid = ("z", "phi", "z_1", "psi_1", "z_2", "psi_2")
+    further = {"roll": ("y", "theta", "theta_1", "theta_2"), "bending": ("q",), **ADDITIONS}
     added = (name for part, names in further.items() if part in parts for name in names)
     return (*rigid, *added, *(f"z_{place}" for place in layout.floors))
 
 
 def wheel_inputs(parts: Sequence[str]) -> tuple[str, ...]:
     """Return the names of height, angle and lateral place of the track under each wheelset."""
-    kinds = "wxv" if is_lateral(parts) else "wx"
+    kinds = "wxv" if is_lateral(parts) else "wx" if "roll" in parts else "w"
     return tuple(f"{kind}{wheel}" for kind in kinds for wheel in range(1, 5))
 
 
@@ -434,30 +431,52 @@ def by_axle(layout: Layout, wheels: Sequence[T]) -> list[T]:
 
 
 def spatial_motion(layout: Layout, p: Mapping[str, Tensor], sensors: Sequence[str]) -> LinearSystem:
-    """Return the equations of motion of one vehicle, its inputs as `wheel_inputs` names them."""
-    names = [*coordinates(layout), *wheel_inputs(layout.parts)]
-    units = dict(zip(names, np.eye(len(names)), strict=True))
+    """Return the equations of motion of one vehicle, its inputs as `wheel_inputs` names them.
+
+    An element with the stretch u = g z - h w of coordinates z and inputs w adds k g g^T to the
+    stiffness, k g h^T to that of the input; creep pulls elsewhere than along its stretch.
+    """
+    moving, wheels = coordinates(layout), wheel_inputs(layout.parts)
+    place = {name: i for i, name in enumerate((*moving, *wheels))}
+    n, n_all = len(moving), len(place)
 
     def vector(row: Row) -> FloatArray:
-        total = np.zeros(len(names))
-        for name in row.keys() & units.keys():
-            total += float(row[name]) * units[name]
+        total = np.zeros(n_all)
+        for name in row.keys() & place.keys():
+            total[place[name]] = float(row[name])
         return total
 
-    # each element acts along its stretch, unless it pulls elsewhere
-    elements = [
-        Acting(
-            joint.element, vector(joint.stretch), None if joint.pull is None else vector(joint.pull)
-        )
-        for joint in acting(layout, p)
-    ]
+    stiffness, damping = np.zeros((2, n_all, n_all))
+    branches = []
+    for joint in acting(layout, p):
+        k, c, relaxing = joint.element.causal()
+        stretch = vector(joint.stretch)
+        square = np.outer(stretch if joint.pull is None else vector(joint.pull), stretch)
+        stiffness += k * square
+        damping += c * square
+        branches += [Branch(b, rate, stretch[:n], -stretch[n:]) for rate, b in relaxing.items()]
     seen = np.array([vector(row) for row in sensed(layout, p, sensors)])
-    n = {name: float(value) for name, value in p.items()}
-    behind = by_axle(layout, behind_of(n, layout.bogie, layout.axle))
-    system = assembled([float(m) for m in masses(layout, p)], elements, seen, tuple(behind))
-    return replace(
-        system,
-        roll_per_m=math.sqrt(n["cross_level"]) / RAIL_LATERAL_M,
-        alignment=math.sqrt(n["alignment"]) if is_lateral(layout.parts) else 0.0,
-        lateral_m=(n["axle_box_lateral"], n["frame_lateral"], n["body_lateral"]),
+    numbers = {name: float(value) for name, value in p.items()}
+    rolls, moves_aside = "roll" in layout.parts, is_lateral(layout.parts)
+    return LinearSystem(
+        mass=np.diag([float(mass) for mass in masses(layout, p)]),
+        damping=damping[:n, :n],
+        stiffness=stiffness[:n, :n],
+        input_damping=-damping[:n, n:],
+        input_stiffness=-stiffness[:n, n:],
+        sensors=seen[:, :n],
+        feedthrough=seen[:, n:] if seen[:, n:].any() else None,
+        behind_m=tuple(by_axle(layout, _behind(numbers, layout))),
+        branches=tuple(branches),
+        roll_per_m=math.sqrt(numbers["cross_level"]) / RAIL_LATERAL_M if rolls else 0.0,
+        alignment=math.sqrt(numbers["alignment"]) if moves_aside else 0.0,
+        lateral_m=(numbers["axle_box_lateral"], numbers["frame_lateral"], numbers["body_lateral"]),
     )
+
+
+def _behind(n: Mapping[str, float], layout: Layout) -> list[float]:
+    """Return the distances of the wheelsets behind the measured one, its own bogie first, [m]."""
+    shift = n["half_wheelbase"] if layout.axle == "leading" else -n["half_wheelbase"]
+    pivots = 2 * n["half_pivot_distance"] * (1 if layout.bogie == "leading" else -1)
+    offsets = [shift - n["half_wheelbase"], shift + n["half_wheelbase"]]
+    return [*offsets, *(pivots + distance for distance in offsets)]

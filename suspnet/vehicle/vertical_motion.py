@@ -1,4 +1,4 @@
-"""Springs and dampers of the vertical vehicle, and its motion in time assembled from them.
+"""Springs and dampers of a vehicle.
 
 Each element is a spring, a damper and Maxwell branches (a spring b in series with a damper b / r)::
 
@@ -16,28 +16,17 @@ Lambda(s) = sum_i l_i (s / (s + r_i) - (its real part at 2.7 Hz)) is a ladder of
 (``LOSS_HZ``, ``LOSS_SHARES``). From 0.3 to 20 Hz its imaginary part is 1 within 1.3 %; the
 stiffness increases with frequency, as causality requires: (1 - 1.5 eta) k at 0.3 Hz, k at 2.7 Hz,
 (1 + 1.4 eta) k at 20 Hz.
-
-Motion: each of them acts along a stretch u = g z - h w of coordinates z and inputs w, and adds an
-outer product: k g g^T to the stiffness, k g h^T to that of the input. Letters and equations are
-those of `suspnet.vehicle.vertical_response`. The coordinates are z and phi of the body, z_i and
-psi_i of the measured bogie (1) and of the other one (2), q with bending, and with roll the lateral
-displacement y of the body and the three roll angles. The inputs are the mean of both rails under
-each wheelset, w, and with roll the angle of the track there, x.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
-
-from suspnet.ground.types import FloatArray
-from suspnet.vehicle.motion import Branch, LinearSystem
 
 LOSS_HZ = (0.2, 1.0, 5.0, 25.0)
 """Relaxation frequencies of the branches that represent a loss factor, [Hz]."""
@@ -49,8 +38,6 @@ RAIL_LATERAL_M = 0.75
 """Half distance of the rails' centres at standard gauge [m]."""
 LEAST_DAMPING = 1e-3
 """Damping of a yaw damper that is as good as none [N s/m]."""
-BOGIES = (("", "1", 1.0, ("a", "b")), ("other_", "2", -1.0, ("c", "d")))
-"""Each bogie: prefix of its numbers, suffix of its coordinates, sign of phi, its wheelsets."""
 
 
 @dataclass(frozen=True)
@@ -225,11 +212,6 @@ def guidance_element(p: Mapping[str, Tensor]) -> Element:
     )
 
 
-def longitudinal_element(p: Mapping[str, Tensor]) -> Element:
-    """Return the longitudinal links between body and bogie, for one side."""
-    return Element(p["longitudinal_stiffness"], p["longitudinal_damping"])
-
-
 def yaw_damper_element(p: Mapping[str, Tensor]) -> Element:
     """Return one yaw damper in series with its bushings."""
     damping = p["yaw_damping"]
@@ -248,7 +230,8 @@ def links_of(p: Mapping[str, Tensor], parts: Sequence[str]) -> list[tuple[Elemen
     body, bogie = p["body_lever"], p["bogie_lever"]
     links = []
     if "longitudinal" in parts:
-        links.append((longitudinal_element(p), body, bogie))
+        link = Element(p["longitudinal_stiffness"], p["longitudinal_damping"])
+        links.append((link, body, bogie))
     if "yaw_dampers" in parts:
         height = p["yaw_height"]
         links.append((yaw_damper_element(p), body - height, bogie + height))
@@ -276,160 +259,3 @@ def laden(p: dict[str, Tensor], empty_kg: float) -> dict[str, Tensor]:
     changed["bending_frequency"] = p["bending_frequency"] * mass ** (0.5 - p["bending_exponent"])
     changed["body_gyration"] = p["body_gyration"] * mass ** p["gyration_exponent"]
     return p | changed
-
-
-class Acting(NamedTuple):
-    """An element with the vector (g, -h) of its stretch over coordinates and inputs.
-
-    `pull` is the vector of its force, None where that is the stretch's: creep pulls elsewhere.
-    """
-
-    element: Element
-    stretch: FloatArray
-    pull: FloatArray | None = None
-
-
-def vertical_motion(layout: Layout, p: Mapping[str, Tensor]) -> LinearSystem:
-    """Return the equations of motion of one vehicle.
-
-    `p` holds ``PARAMETERS`` and ``UNMEASURED`` in SI units, tensors of one element.
-    """
-    parts, bogie, axle = layout.parts, layout.bogie, layout.axle
-    n = {name: float(value) for name, value in p.items()}
-    masses = _masses(n, parts)
-    # a unit vector for each coordinate and each motion of a wheelset
-    inputs = [f"{kind}_{wheel}" for kind in "wx"[: 1 + ("roll" in parts)] for wheel in "abcd"]
-    e = dict(zip([*masses, *inputs], np.eye(len(masses) + len(inputs)), strict=True))
-    forward = 1.0 if bogie == "leading" else -1.0
-    vehicle = _Vehicle(p, n, parts, e)
-    acting = [*vehicle.suspensions(), *vehicle.links(forward)]
-    if "bending" in parts:
-        acting.append(Acting(mode_element(p, "bending", layout.empty_body_kg), e["q"]))
-    if "roll" in parts:
-        acting += vehicle.rolling()
-    # the measured points: of the frame in the middle or above an axle, of the body near the bogie
-    frame, body = e["z_1"].copy(), vehicle.above("bending_at_sensor")
-    if layout.frame_sensor == "axle":
-        frame += e["psi_1"] if axle == "leading" else -e["psi_1"]
-    body += (1 + forward * layout.body_sensor_m / n["half_pivot_distance"]) * e["phi"]
-    sensors = np.array([frame, body])
-    if "roll" in parts:
-        lean = np.array([n["frame_lateral"] * e["theta_1"], n["body_lateral"] * e["theta"]])
-        sensors = np.vstack([sensors + lean, sensors - lean])
-    system = assembled(list(masses.values()), acting, sensors, behind_of(n, bogie, axle))
-    if "roll" not in parts:
-        return system
-    roll_per_m = math.sqrt(n["cross_level"]) / RAIL_LATERAL_M
-    lateral_m = n["axle_box_lateral"], n["frame_lateral"], n["body_lateral"]
-    return replace(system, roll_per_m=roll_per_m, lateral_m=lateral_m)
-
-
-def _masses(n: Mapping[str, float], parts: Sequence[str]) -> dict[str, float]:
-    bogie = n["bogie_mass"]
-    pitch = bogie * (n["bogie_gyration"] / n["half_wheelbase"]) ** 2
-    body_pitch = 2 * n["M_s"] * (n["body_gyration"] / n["half_pivot_distance"]) ** 2
-    masses = {"z": 2 * n["M_s"], "phi": body_pitch}
-    masses |= {"z_1": bogie, "psi_1": pitch, "z_2": bogie, "psi_2": pitch}
-    if "bending" in parts:
-        masses["q"] = n["M_s"]
-    if "roll" in parts:
-        roll = bogie * n["bogie_roll_gyration"] ** 2
-        masses["y"] = 2 * n["M_s"]
-        masses["theta"] = masses["y"] * n["body_roll_gyration"] ** 2
-        masses |= {"theta_1": roll, "theta_2": roll}
-    return masses
-
-
-@dataclass(frozen=True)
-class _Vehicle:
-    """Elements of a vehicle: `p`, `n` its numbers, `e` the unit vector of each coordinate."""
-
-    p: Mapping[str, Tensor]
-    n: Mapping[str, float]
-    parts: Sequence[str]
-    e: Mapping[str, FloatArray]
-
-    def above(self, shape: str) -> FloatArray:
-        """Return the body's bounce, with its bending of the given `shape` at a pivot or sensor."""
-        n, e = self.n, self.e
-        return e["z"] + n[shape] * e["q"] if "bending" in self.parts else e["z"].copy()
-
-    def suspensions(self) -> list[Acting]:
-        """Return primary and secondary suspensions in bounce and pitch, and the axle guidance."""
-        p, parts, e = self.p, self.parts, self.e
-        acting = []
-        body = self.above("bending_at_pivot")
-        for prefix, i, sign, (first, last) in BOGIES:
-            primary = primary_element(p, prefix, parts)
-            acting += [
-                Acting(primary, e[f"z_{i}"] - 0.5 * (e[f"w_{first}"] + e[f"w_{last}"])),
-                Acting(primary, e[f"psi_{i}"] - 0.5 * (e[f"w_{first}"] - e[f"w_{last}"])),
-                Acting(secondary_element(p, prefix, parts), body + sign * e["phi"] - e[f"z_{i}"]),
-            ]
-            if "guidance" in parts:
-                acting.append(Acting(guidance_element(p), e[f"psi_{i}"]))
-        return acting
-
-    def links(self, forward: float) -> list[Acting]:
-        """Return the links along the train; phi is positive if the measured bogie rises."""
-        n, e = self.n, self.e
-        acting = []
-        for element, below_body, above_bogie in links_of(self.p, self.parts):
-            body_lever = forward * float(below_body) / n["half_pivot_distance"]
-            lever = float(above_bogie) / n["half_wheelbase"]
-            for _, i, sign, _ in BOGIES:
-                turned = e["phi"].copy()
-                if "bending" in self.parts:
-                    turned += sign * n["bending_slope"] * e["q"]
-                acting.append(Acting(element, body_lever * turned + lever * e[f"psi_{i}"]))
-        return acting
-
-    def rolling(self) -> list[Acting]:
-        """Return the suspensions in roll and sway, for one side."""
-        p, n, parts, e = self.p, self.n, self.parts, self.e
-        acting = []
-        aside = e["y"] + n["body_lever"] * e["theta"]
-        for prefix, i, _, (first, last) in BOGIES:
-            roll, track = e[f"theta_{i}"], 0.5 * (e[f"x_{first}"] + e[f"x_{last}"])
-            across = e["theta"] - roll
-            acting += [
-                Acting(primary_element(p, prefix, parts), n["primary_lateral"] * (roll - track)),
-                Acting(secondary_element(p, prefix, parts), n["secondary_lateral"] * across),
-                Acting(Element(p["anti_roll_bar"] / 2, None), across),
-                Acting(lateral_element(p), aside + n["bogie_lever"] * roll),
-            ]
-        return acting
-
-
-def assembled(
-    masses: list[float], acting: list[Acting], sensors: FloatArray, behind_m: tuple[float, ...]
-) -> LinearSystem:
-    """Return the system of these masses, with each element added along its stretch."""
-    n, n_all = len(masses), sensors.shape[1]
-    stiffness, damping = np.zeros((2, n_all, n_all))
-    branches = []
-    for element, stretch, pull in acting:
-        k, c, relaxing = element.causal()
-        square = np.outer(stretch if pull is None else pull, stretch)
-        stiffness += k * square
-        damping += c * square
-        branches += [Branch(b, rate, stretch[:n], -stretch[n:]) for rate, b in relaxing.items()]
-    return LinearSystem(
-        mass=np.diag(masses),
-        damping=damping[:n, :n],
-        stiffness=stiffness[:n, :n],
-        input_damping=-damping[:n, n:],
-        input_stiffness=-stiffness[:n, n:],
-        sensors=sensors[:, :n],
-        feedthrough=sensors[:, n:] if sensors[:, n:].any() else None,
-        behind_m=behind_m,
-        branches=tuple(branches),
-    )
-
-
-def behind_of(n: Mapping[str, float], bogie: str, axle: str) -> tuple[float, ...]:
-    """Return the distances of the wheelsets behind the measured one, its own bogie first, [m]."""
-    shift = n["half_wheelbase"] if axle == "leading" else -n["half_wheelbase"]
-    pivots = 2 * n["half_pivot_distance"] * (1 if bogie == "leading" else -1)
-    offsets = [shift - n["half_wheelbase"], shift + n["half_wheelbase"]]
-    return (*offsets, *(pivots + distance for distance in offsets))

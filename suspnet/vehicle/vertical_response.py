@@ -172,7 +172,10 @@ def _body(
     if "bending" not in layout.parts:
         return _Body(bounce, difference, pitch, None, None, 0.0, 0.0)
     at_pivot, slope = p["bending_at_pivot"], p["bending_slope"]
-    own = _modal(layout, p, omega) + at_pivot**2 * total + slope**2 * upright
+    # free bending, its modal mass included
+    element = mode_element(p, "bending", layout.empty_body_kg)
+    free = element.at(omega) - p["M_s"] * omega**2
+    own = free + at_pivot**2 * total + slope**2 * upright
     row = at_pivot * total, at_pivot * difference + slope * (first.upright - other.upright)
     shares = row[0] / own, row[1] / own
     return _Body(
@@ -278,12 +281,6 @@ def _bogie(
         upright=righting - coupling * tilt,
         push=-tilt * kappa_p,
     )
-
-
-def _modal(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
-    """Return the dynamic stiffness of the body's free bending, its modal mass included."""
-    element = mode_element(p, "bending", layout.empty_body_kg)
-    return element.at(omega) - p["M_s"] * omega**2
 
 
 def rolled(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:

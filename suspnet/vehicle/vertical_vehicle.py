@@ -1,7 +1,7 @@
 """A family of vehicles: body and two bogies that pitch, four wheelsets on one track.
 
 `VehicleFamily` has the settings and uncertain numbers that all of them share. The equations are in
-`suspnet.vehicle.vertical_response`, the motion in time in `suspnet.vehicle.vertical_motion`.
+`suspnet.vehicle.vertical_response`, the motion in time in `suspnet.vehicle.spatial_motion`.
 """
 
 from __future__ import annotations
@@ -16,12 +16,19 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from suspnet.ground.parameters import FORWARD, REVERSE, Direction, End
+from suspnet.ground.parameters import COMPONENTS, FORWARD, REVERSE, SIDES, Direction, End
 from suspnet.ground.settings import Setting, check_choice, check_number, check_settings, setting
 from suspnet.ground.tensors import as_tensor, check_device
 from suspnet.vehicle.motion import LinearSystem
-from suspnet.vehicle.quantities import PARTS, QUANTITIES, LogNormal, Quantity
+from suspnet.vehicle.quantities import (
+    PARTS,
+    QUANTITIES,
+    SPATIAL_QUANTITIES,
+    LogNormal,
+    Quantity,
+)
 from suspnet.vehicle.quarter_car import QuarterCar
+from suspnet.vehicle.spatial_motion import spatial_motion
 from suspnet.vehicle.vehicle import (
     GEOMETRY,
     PARAMETERS,
@@ -31,11 +38,7 @@ from suspnet.vehicle.vehicle import (
     check_ratios,
     check_vehicle,
 )
-from suspnet.vehicle.vertical_motion import (
-    Layout,
-    laden,
-    vertical_motion,
-)
+from suspnet.vehicle.vertical_motion import Layout, laden
 from suspnet.vehicle.vertical_response import bounced, excited, moved, phasor, rolled, wheels_of
 
 OTHER_END: dict[End, End] = {"leading": "trailing", "trailing": "leading"}
@@ -237,12 +240,6 @@ class VehicleFamily:
         place = bogie, axle, self.frame_sensor, ahead_m
         return Layout(*place, self.parts, self.vehicle.body_mass_kg)
 
-    def _prepared(
-        self, ratios: ArrayLike, frequencies_hz: ArrayLike
-    ) -> tuple[dict[str, Tensor], Tensor]:
-        """Return every number of the vehicles in SI units, and the angular frequencies [rad/s]."""
-        return self._numbers(ratios), angular(frequencies_hz, self.device)
-
     def _rows(self, ratios: ArrayLike) -> Tensor:
         return self.complete(as_tensor(ratios).to(self.device, torch.float64))
 
@@ -296,7 +293,7 @@ class VerticalVehicle(VehicleFamily, ResponseGenerator):
         relative to nominal. ValueError if it has another shape or a value that is not positive and
         finite (not above -1 for numbers that may be absent).
         """
-        p, omega = self._prepared(ratios, frequencies_hz)
+        p, omega = self._numbers(ratios), angular(frequencies_hz, self.device)
         wheels = wheels_of(self._layout, p, omega)
         box, frame, body = (moved(place, wheels) for place in self._felt(p, omega))
         return frame / box, body / frame
@@ -308,7 +305,7 @@ class VerticalVehicle(VehicleFamily, ResponseGenerator):
         wheelsets, then the cross level if `rolls`, scaled such that each input has the density of
         the mean.
         """
-        p, omega = self._prepared(ratios, frequencies_hz)
+        p, omega = self._numbers(ratios), angular(frequencies_hz, self.device)
         places, wheels = self._felt(p, omega), wheels_of(self._layout, p, omega)
         channels = excited(self._layout, p, wheels, places)
         if not self.rolls:
@@ -347,8 +344,15 @@ class VerticalVehicle(VehicleFamily, ResponseGenerator):
         Sensitivity and delay of sensors, and what excites single wheelsets, are no part of it.
         """
         felt = tuple(part for part in self.parts if part != "roll" or self.rolls)
-        layout = replace(self._layout, parts=felt)
-        return vertical_motion(layout, self._numbers(as_tensor(ratios)[None]))
+        # twelve separate springs and dampers, of which those of a kind are equal
+        p = {q.name: torch.tensor([[q.nominal or 1.0]]) for q in SPATIAL_QUANTITIES}
+        p |= self._numbers(as_tensor(ratios)[None])
+        for whose in "", "other_":
+            p |= {f"{whose}{name}": p[f"{whose}{name[:3]}"] for name in COMPONENTS[:-1]}
+        sides = SIDES if self.rolls else ("middle",)
+        frame = "frame_axle1" if self.frame_sensor == "axle" else "frame_centre"
+        places = [f"{place}_{side}" for side in sides for place in (frame, "body")]
+        return spatial_motion(replace(self._layout, parts=felt), p, places)
 
 
 def _gain(p: Mapping[str, Tensor], sensor: str, omega: Tensor) -> Tensor:

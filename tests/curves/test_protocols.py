@@ -33,7 +33,7 @@ def as_set(ratios):
 def test_grid_of_a_group_holds_364816_curves(task, name, group):
     problem = task(name, group)
     assert [len(problem.levels(p)) for p in problem.varied] == [151, 151, 16]
-    assert problem.grid_size == 364_816  # 151 x 151 x 16, design section 2
+    assert sum(problem.grid_sizes) == 364_816  # 151 x 151 x 16, design section 2
     whole = problem.sample(None, seed=0, stream=TRAIN)
     assert whole.shape == (364_816, 5)
     assert len(np.unique(whole, axis=0)) == 364_816
@@ -44,7 +44,7 @@ def test_whole_grid_is_the_product_of_its_levels(task):
     levels = [problem.levels(name).tolist() for name in ("k_p", "c_p", "M_s")]
     expected = [[k, c, 1.0, 1.0, m] for k, c, m in itertools.product(*levels)]
     assert problem.sample(None, seed=3, stream=TRAIN).tolist() == expected
-    assert len(expected) == problem.grid_size == 4 * 4 * 3
+    assert len(expected) == sum(problem.grid_sizes) == 4 * 4 * 3
 
 
 UNION = {"varied": [["k_p", "k_s", "M_s"], ["c_p", "c_s", "M_s"]]}
@@ -56,7 +56,7 @@ def test_the_papers_protocol_is_table_iv_scored_as_table_vi(task):
         problem = task("paper", group)
         assert problem.varied_sets == tuple(map(tuple, UNION["varied"]))
         assert (problem.varied, problem.outputs) == (PARAMETERS, outputs)
-        assert problem.grid_size == 2 * 364_816
+        assert sum(problem.grid_sizes) == 2 * 364_816
 
 
 def test_whole_grid_of_several_sets_is_the_grid_of_each(task):

@@ -18,8 +18,8 @@ from suspnet.curves.speeds import NoEstimateError
 from suspnet.curves.welch import Welch
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.fitted import FittedMethod
-from suspnet.estimation.flags import BOGIE_NOT_CONVERGED
 from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.trains.fits.bogie_fit import PartsEstimate, commission_bogie, fit_parts
 from suspnet.trains.identification import bogie_trips
@@ -139,7 +139,7 @@ def test_search_that_did_not_end_is_told(short, monkeypatch, caplog, converged):
     ("converged", "misfit", "reason"),
     [
         (True, 15.1, ""),  # its errors are in the intervals
-        (False, 1.0, BOGIE_NOT_CONVERGED),
+        (False, 1.0, Finding("healthy-search-unfinished")),
     ],
 )
 def test_parts_read_with_a_doubtful_bogie_are_flagged(

@@ -149,7 +149,7 @@ def test_parts_share_the_suspensions(broker, opened):
     for name in NAMES:
         send(sink, 4, suspension=name)
     sink.close()
-    until(lambda: sum(one.n_waiting for one in sources) == 48)
+    until(lambda: sum(len(one._arrived) for one in sources) == 48)
     found = [numbers(received(one, 1)) for one in sources]
     assert all(found)
     taken = Counter(name for part in found for name in {name for name, *_ in part})
@@ -176,7 +176,7 @@ def test_monitor_that_is_busy_is_disconnected_and_misses_nothing(broker, opened,
     send(sink, 40)
     sink.close()
     for k in range(1, 4):
-        assert until(lambda: source.n_waiting == 10)
+        assert until(lambda: len(source._arrived) == 10)
         clients[0].socket().shutdown(socket.SHUT_RDWR)  # as a broker does that hears nothing
         assert len(source.receive(1.0)) <= 10
         assert until(lambda k=k: source.counts["reconnect"] == k)

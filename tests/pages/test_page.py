@@ -23,6 +23,7 @@ from vehicles import AM96
 
 from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScatter
 from suspnet.estimation.suspension_law import SuspensionLaw
+from suspnet.ground.findings import Finding
 from suspnet.runs.language import speaking
 from suspnet.trains.fits.explained_trips import explained_trips
 from suspnet.trains.identification import commissioning_summary as words
@@ -262,7 +263,7 @@ def bogie(misfit, converged=True):
             "What the model does not explain counts as noise: 2",
         ),
         (1.3, True, "good", "of axle 1, right, 3 Hz)"),
-        (1.05, False, "notice", words.NOT_CONVERGED),
+        (1.05, False, "notice", Finding("search-unfinished")),
     ],
 )
 def test_the_verdict_is_that_of_the_parts_where_they_are_read(
@@ -290,7 +291,9 @@ def test_the_verdict_is_that_of_the_parts_where_they_are_read(
 
 
 def test_bogies_far_from_their_trips_have_their_sensors_looked_at_first():
-    assert words.doubts_of_parts(bogie(words.UNTRUSTED + 1)) == [words.LOOK_FIRST]
+    assert words.doubts_of_parts(bogie(words.UNTRUSTED + 1)) == [
+        Finding("look-at-sensors-first", untrusted=words.UNTRUSTED)
+    ]
     assert words.doubts_of_parts(bogie(words.UNTRUSTED - 1)) == []
 
 

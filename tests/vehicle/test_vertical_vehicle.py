@@ -136,9 +136,9 @@ def test_vehicle_seen_from_the_rear_is_its_mirror_image_if_nothing_is_delayed(fr
     ("bogie", "axle", "expected"),
     [
         ("leading", "leading", (0.0, 2.7, 19.0, 21.7)),
-        ("leading", "trailing", (-2.7, 0.0, 16.3, 19.0)),
+        ("leading", "trailing", (0.0, -2.7, 19.0, 16.3)),
         ("trailing", "leading", (0.0, 2.7, -19.0, -16.3)),
-        ("trailing", "trailing", (-2.7, 0.0, -21.7, -19.0)),
+        ("trailing", "trailing", (0.0, -2.7, -19.0, -21.7)),
     ],
 )
 def test_wheelsets_run_behind_the_measured_one_by_their_distance(bogie, axle, expected):

@@ -86,11 +86,6 @@ class Mqtt:
         # of the calling thread only
         self._delivered: list[tuple[int, int]] = []
 
-    @property
-    def n_waiting(self) -> int:
-        """Number of frames that wait for `receive`."""
-        return len(self._arrived)
-
     def subscribe(self, suspensions: Sequence[str]) -> Sequence[str]:
         """Start to connect; return the suspensions of this process. See `FrameSource`."""
         subscribed = [name for name in suspensions if is_in_shard(name, self.shard, self.n_shards)]

@@ -328,7 +328,7 @@ def _suspension_version(view: FleetView, name: str) -> str:
     state, row = view.states[view.keys[name]], view.rows[view.keys[name]]
     return _digest(
         {key: value for key, value in row.items() if "life" not in key},
-        (state.alarms, state.events, sorted(state.lives), state.newest_trips[1].tolist()),
+        (state.alarms, state.series.events, sorted(state.lives), state.newest_trips[1].tolist()),
         view.acknowledged.get(state.key, ()),
         visits_of(view.plan, state),
         view.is_complete,

@@ -32,4 +32,4 @@ def opened_store(*, to_write: bool = False) -> History:
 
 def stored_trips(store: History, state: State) -> list[TripResult]:
     """Return the trips of a suspension, with the intervals of its series."""
-    return with_widened(store.read(*state.key), state.events)
+    return with_widened(store.read(*state.key), state.series.events)

@@ -47,12 +47,6 @@ EQUAL = np.array([[name.startswith(kind) for kind in PARAMETERS] for name in COM
 coordinate, or all parts of a kind share one."""
 
 
-def _are_same(frequencies_hz: Tensor, other_hz: Tensor) -> bool:
-    """Return whether bins are the same but for rounding, as of segments of other lengths."""
-    is_alike = frequencies_hz.shape == other_hz.shape
-    return is_alike and torch.allclose(frequencies_hz, other_hz, rtol=0, atol=1e-9)
-
-
 def _input_spectra(signals: Tensor, responses: Tensor) -> Tensor:
     """Return the spectra of the inputs, (n_freq, p, p), that explain spectra without noise best.
 
@@ -95,7 +89,9 @@ class BogieMisfit:
     def __post_init__(self) -> None:
         for trip in self.trips:
             n = len(self.sensors_of(trip))
-            if not _are_same(trip.frequencies_hz, self.frequencies_hz):
+            # the same but for rounding, as of segments of other lengths
+            bins = trip.frequencies_hz, self.frequencies_hz
+            if len(bins[0]) != len(bins[1]) or not torch.allclose(*bins, rtol=0, atol=1e-9):
                 raise ValueError("the trips must have the same bins")
             if trip.spectra.values.shape != (len(self.frequencies_hz), n, n):
                 raise ValueError(

@@ -20,6 +20,7 @@ from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.ground.parameters import BOGIE_PARTS
 from suspnet.ground.types import FloatArray
 from suspnet.trains.fits.bogie_fit import PartsEstimate, wear_errors
+from suspnet.trains.fits.worn_parts import scatter_of_parts
 
 LEAST_NOISE = 0.1
 """Least deviation by noise, of that of an interval: what else widens it is known to no more."""
@@ -34,16 +35,12 @@ def joint_estimate(
     of the ends of their intervals of that level over them. ValueError if the scatter of the healthy
     trips is not known, or the sensors do not show each part.
     """
-    if bogie.scatter is None:
-        raise ValueError("how the healthy trips scatter is not known")
-    if len(bogie.scatter.noise) != len(BOGIE_PARTS):
-        raise ValueError("the sensors do not show each part: there is no estimate of them")
-    noise = np.array(bogie.scatter.noise)
+    found = scatter_of_parts(bogie)
+    noise, scatter = np.array(found.noise), found.covariance
     sizes = np.sqrt(np.diag(noise))
     correlation = noise / sizes[:, None] / sizes
-    tau = bogie.scatter.student(level)
+    tau = found.student(level)
     deviations = half_widths / norm.ppf((1 + level) / 2) / tau
-    scatter = bogie.scatter.covariance
     totals = []
     for of_trip, deviation in zip(logs, deviations, strict=True):
         variance = deviation**2 - np.diag(scatter + _wear_errors(bogie, of_trip))
@@ -52,7 +49,7 @@ def joint_estimate(
     weights = np.linalg.inv(totals)
     whole = np.linalg.inv(weights.sum(axis=0))
     joint = whole @ np.einsum("tij,tj->i", weights, logs)
-    shared = 1 / (bogie.scatter.n_trips + 1)
+    shared = 1 / (found.n_trips + 1)
     covariance = (1 - shared) * whole + shared * np.mean(totals, axis=0)
     covariance = tau**2 * (covariance + _wear_errors(bogie, joint))
     return PartsEstimate(np.exp(joint), covariance, 1.0, True, level, BOGIE_PARTS)

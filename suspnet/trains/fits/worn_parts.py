@@ -134,7 +134,7 @@ def least_losses(bogie: CommissionedBogie, level: float = 0.9) -> dict[str, floa
     1 if it is not named at ``MOST_LOSS`` either. ValueError if their scatter is not known, or the
     sensors do not show each part.
     """
-    scatter = _scatter_of_parts(bogie)
+    scatter = scatter_of_parts(bogie)
     noise, wider = np.pad(np.array(scatter.noise), (0, 1)), scatter.student(level) ** 2
     return _least_losses(lambda logs: wider * (noise + beyond_noise(bogie, logs)), level)
 
@@ -167,7 +167,7 @@ def false_verdicts(bogie: CommissionedBogie, level: float = 0.9, seed: int = 0) 
     which is Student's distribution where V is all, and each is judged as by `worn_parts`, with
     tau^2 (N + V). ValueError as of `least_losses`.
     """
-    scatter = _scatter_of_parts(bogie)
+    scatter = scatter_of_parts(bogie)
     noise, beyond = np.array(scatter.noise), scatter.covariance
     rng, free = np.random.default_rng(seed), scatter.n_trips - 1
     zeros, spread = np.zeros(len(noise)), np.sqrt(free / rng.chisquare(free, N_HEALTHY))
@@ -183,12 +183,12 @@ def false_verdicts(bogie: CommissionedBogie, level: float = 0.9, seed: int = 0) 
     return float(accused.mean())
 
 
-def _scatter_of_parts(bogie: CommissionedBogie) -> HealthyScatter:
+def scatter_of_parts(bogie: CommissionedBogie) -> HealthyScatter:
     """Return the scatter of the healthy trips; ValueError if it is not that of each part."""
     if bogie.scatter is None:
         raise ValueError("how the healthy trips scatter is not known")
     if len(bogie.scatter.noise) != len(BOGIE_PARTS):
-        raise ValueError("the sensors do not show each part: no part is named")
+        raise ValueError("the sensors do not show each part: none has an estimate")
     return bogie.scatter
 
 

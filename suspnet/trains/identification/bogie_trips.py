@@ -15,7 +15,6 @@ from suspnet.curves.speeds import NoEstimateError
 from suspnet.curves.welch import Welch
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.estimate import Estimate
-from suspnet.estimation.flags import BOGIE_NOT_CONVERGED
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import FORWARD, Direction
@@ -263,7 +262,7 @@ def estimate_parts(
     estimate = parts.as_estimate()
     flags = estimate.flags
     if not bogie.converged:
-        flags = flags.with_kind("physics", BOGIE_NOT_CONVERGED)
+        flags = flags.with_kind("physics", Finding("healthy-search-unfinished"))
     if not parts.converged:
         flags = flags.with_kind("misfit", "the search for the parts did not end within its steps")
     # its covariance grows with the misfit, so that none alone silences a verdict

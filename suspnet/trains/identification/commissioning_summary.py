@@ -60,19 +60,6 @@ PART_TITLES = {
     "body_torsion": "Torsion of the car body",
     "floors": "Local floors below the sensors",
 }
-SYMBOLS = {
-    **{f"healthy_{name}": name for name in PARAMETERS[:4]},
-    "half_wheelbase": "a",
-    "half_pivot_distance": "L",
-    "bogie_gyration": "\N{GREEK SMALL LETTER RHO}_b",
-    "body_gyration": "\N{GREEK SMALL LETTER RHO}_c",
-    "body_lever": "h_2",
-    "bogie_lever": "h_3",
-    "bending_at_pivot": "p",
-    "bending_slope": "\N{GREEK SMALL LETTER SIGMA}",
-    "arm_share": "e",
-}
-"""Symbols of those quantities that have one in the equations of the vehicle."""
 
 
 @dataclass(frozen=True)
@@ -163,10 +150,6 @@ def _numbers(
     return sorted(uncertain, key=lambda number: list(PART_TITLES).index(number.quantity.part))
 
 
-LOOK_FIRST = Finding("look-at-sensors-first", untrusted=UNTRUSTED)
-"""Advice on a vehicle that is far from its trips."""
-
-
 def unplaced(healthy: HealthyTrips) -> str | None:
     """Return a sentence if single sensors are assumed in the middle because no side is given."""
     if not (names := healthy.manifests[0].unplaced):
@@ -199,9 +182,9 @@ def doubts_of_parts(bogie: CommissionedBogie) -> list[str]:
     """Return a sentence for each reason not to rely on a bogie of which each part is read."""
     reasons: list[str] = []
     if bogie.misfit > UNTRUSTED:
-        reasons.append(LOOK_FIRST)
+        reasons.append(Finding("look-at-sensors-first", untrusted=UNTRUSTED))
     if not bogie.converged:
-        reasons.append(NOT_CONVERGED)
+        reasons.append(Finding("search-unfinished"))
     # what does not explain the trips shows no mass either
     doubt = mass_doubt(bogie.masses) if bogie.misfit <= SHOWS_MASS else None
     return [*reasons, *filter(None, [doubt])]
@@ -239,14 +222,6 @@ def hardest_losses(losses: Mapping[str, float]) -> dict[str, float]:
         kind: 100 * max(loss for name, loss in losses.items() if kind_of(name) == kind)
         for kind in PARAMETERS[:-1]
     }
-
-
-NOT_CONVERGED = (
-    "The search for the bogie did not end within its steps: its parts are not to be relied on, and "
-    "wrong ones may be named. Give more healthy trips of several payloads and speeds, and sensors "
-    "at the axle boxes where there are none."
-)
-"""Doubt about a bogie whose search did not converge."""
 
 
 def mass_doubt(masses: FloatArray) -> str | None:
@@ -296,7 +271,7 @@ def cells(number: Number) -> dict[str, Any]:
     scale, unit = _unit(number)
     quantity = number.quantity
     return {
-        "symbol": SYMBOLS.get(quantity.name, ""),
+        "symbol": quantity.symbol,
         "unit": unit or "1",
         "prior": _value(*number.prior, scale),
         "posterior": _value(*number.posterior, scale),

@@ -161,27 +161,19 @@ def _of_equal_sides(
         reasons = dict.fromkeys(str(groups[0]) for groups in readings if groups)
         return TripReading(NoEstimateError(together(reasons)))
     estimate = combined(bins)
-    lone = _lone_channels(bins[0].method.generator, recording)
-    if lone:
+    doubts = _doubts(bins)
+    places = zip(CHANNELS, recording.sides, bins[0].method.generator.sensor_lateral_m, strict=True)
+    # single sensors on one side that a model takes as in the middle
+    if lone := [f"{name} {side}" for name, side, lateral_m in places if side and not lateral_m]:
         estimate = estimate.scaled(ROLL_AS_NOISE)
-    return TripReading(estimate, bins, [*_doubts(bins), *_doubts_of_sides(lone, recording)])
+        doubts.append(Finding("one-sensor-alone-unchecked", names=together(lone, ", ")))
+    elif all(recording.paired):
+        doubts.append(Finding("sides-not-compared"))
+    return TripReading(estimate, bins, doubts)
 
 
 def _doubts(bins: Sequence[SeenBin]) -> list[str]:
     return list(dict.fromkeys(speed_bin.doubts for speed_bin in bins if speed_bin.doubts))
-
-
-def _lone_channels(generator: ResponseGenerator, recording: Recording) -> list[str]:
-    """Return single sensors on one side that a model takes as in the middle."""
-    places = zip(CHANNELS, recording.sides, generator.sensor_lateral_m, strict=True)
-    return [f"{name} {side}" for name, side, lateral_m in places if side and not lateral_m]
-
-
-def _doubts_of_sides(lone: Sequence[str], recording: Recording) -> list[str]:
-    """Return that the sides may differ unseen, where one sensor or their mean stands for both."""
-    if lone:
-        return [Finding("one-sensor-alone-unchecked", names=together(lone, ", "))]
-    return [Finding("sides-not-compared")] if all(recording.paired) else []
 
 
 def _groups_read(

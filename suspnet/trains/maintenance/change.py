@@ -65,16 +65,14 @@ class Changes:
 
     `by_parameter` has the changes of each parameter in the order of the trips, `covariates` the
     names of those that were used. `n_reference` counts the usable trips so far, of which detection
-    needs `n_needed`; `threshold` is that of the CUSUM at the last trip, NaN without detection.
-    `n_unlike` trips are not judged, as a covariate is missing or unlike the reference. `why_not` is
-    why nothing can be detected; empty if it can.
+    needs `n_needed`. `n_unlike` trips are not judged, as a covariate is missing or unlike the
+    reference. `why_not` is why nothing can be detected; empty if it can.
     """
 
     by_parameter: dict[str, list[Change]] = field(default_factory=dict)
     covariates: tuple[str, ...] = ()
     n_reference: int = 0
     n_needed: int = 0
-    threshold: float = np.nan
     n_unlike: int = 0
     why_not: str = ""
 
@@ -156,8 +154,7 @@ def find_changes(
         for i, name in enumerate(names)
     }
     n_unlike = n_lacking + int((rest.leverage > 1).any(axis=-1).sum())
-    limit = float(judged.limits[-1])
-    return Changes(by_parameter, used_names, len(trips), needed, limit, n_unlike)
+    return Changes(by_parameter, used_names, len(trips), needed, n_unlike)
 
 
 @dataclass(frozen=True)

@@ -229,24 +229,16 @@ class Covariance:
         self.values = values
 
     @cached_property
-    def _definite(self) -> tuple[FloatArray, FloatArray]:
-        """The repaired covariances and their Cholesky factors."""
+    def inverted(self) -> tuple[FloatArray, FloatArray]:
+        """Inverse of each, and logarithm of its determinant (n_motions or 1, n_starts or 1)."""
+        values = self.values
         try:
-            return self.values, np.asarray(np.linalg.cholesky(self.values))
+            factor = np.linalg.cholesky(values)
         except np.linalg.LinAlgError:
-            values = positive_definite(self.values)
-            return values, np.asarray(np.linalg.cholesky(values))
-
-    @cached_property
-    def log_det(self) -> FloatArray:
-        """Logarithm of the determinant of each, (n_motions or 1, n_starts or 1)."""
-        diagonal = np.diagonal(self._definite[1], axis1=-2, axis2=-1)
-        return np.asarray(2 * np.log(diagonal).sum(axis=-1))
-
-    @cached_property
-    def inverse(self) -> FloatArray:
-        """Inverse of each, of the shape of `values`."""
-        return np.asarray(np.linalg.inv(self._definite[0]))
+            values = positive_definite(values)
+            factor = np.linalg.cholesky(values)
+        diagonal = np.diagonal(factor, axis1=-2, axis2=-1)
+        return np.asarray(np.linalg.inv(values)), np.asarray(2 * np.log(diagonal).sum(axis=-1))
 
 
 class Fit:
@@ -294,7 +286,7 @@ class Fit:
             with_last, own = motion.with_last(since, blocks.last - start)
             self._with_last = variances * with_last / scale[:, None]
             self._own = variances * own
-        self._inverse, log_det = total.inverse, total.log_det
+        self._inverse, log_det = total.inverted
         # sums of the normal equations of the two unknowns level and rate
         of_unit, of_values = (self._inverse @ x for x in (self._unit, self._values))
         of_course = self._course @ self._inverse  # (motions, starts, onsets, blocks)

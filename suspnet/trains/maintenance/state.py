@@ -28,7 +28,7 @@ from suspnet.trains.maintenance.change import ChangeSettings
 from suspnet.trains.maintenance.judge import LastTrips, judge_last, last_trips
 from suspnet.trains.maintenance.life import MIN_TRIPS, Life, predict_life
 from suspnet.trains.maintenance.sensors import IN_A_ROW
-from suspnet.trains.maintenance.series import N_LAST, Event, Series
+from suspnet.trains.maintenance.series import N_LAST, Series
 
 WINDOW_DAYS = 180
 """Number of latest days whose trips determine the mileage per day of a train; if its newest trip is
@@ -60,11 +60,6 @@ class State:
     def place(self) -> Place:
         """Place of the suspension in its fleet."""
         return self.key[1]
-
-    @cached_property
-    def events(self) -> tuple[Event, ...]:
-        """Maintenance by mileage."""
-        return self.series.events
 
     @cached_property
     def recent(self) -> Series:

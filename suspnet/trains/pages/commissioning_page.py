@@ -17,7 +17,7 @@ from suspnet.ground.findings import Finding, together
 from suspnet.ground.storage import printable, write_atomically, write_json
 from suspnet.ground.types import FloatArray
 from suspnet.runs.figures import SUSPENSIONS, as_png, data_uri
-from suspnet.runs.language import N_, gettext, spoken
+from suspnet.runs.language import N_, spoken
 from suspnet.trains.fits.bogie_fit import EXPLAINED
 from suspnet.trains.fits.commissioning import Commissioned
 from suspnet.trains.fits.explained_trips import ExplainedTrip, explained_trips
@@ -31,20 +31,6 @@ from suspnet.trains.spectra.subspace import SpectralMatrix
 log = logging.getLogger(__name__)
 NAME = "commissioning"
 """Base name of the files."""
-HEADINGS = {
-    "responses": N_("Measured and commissioned responses"),
-    "errors": N_("Errors of the model"),
-}
-"""Heading of each figure by its name."""
-EXPLANATION = N_(
-    "By how much each suspension amplifies vibration of each frequency on the longest trip, as the "
-    "mean of both sides. The commissioned vehicle should lie on the measured curve "
-    "where its grey band is narrow."
-)
-ABOUT_ERRORS = N_(
-    "How far off the model is at each sensor, as a percentage of the signal there. Where nothing "
-    "is drawn, the healthy trips show no error. Where the error is large, a later trip counts less."
-)
 MEASURED, NOMINAL, FITTED = "0.7", "tab:orange", "tab:blue"
 
 
@@ -118,7 +104,6 @@ def _page_values(
 ) -> dict[str, Any]:
     bogie = outcome.bogie
     doubts = [*healthy.doubts, *words.doubts_of_parts(bogie)]
-    explanations = {"responses": gettext(EXPLANATION), "errors": gettext(ABOUT_ERRORS)}
     # the numbers below a heading for each part of the vehicle that they describe
     numbers = words.numbers(outcome) + words.further_numbers(bogie)
     groups: dict[str, list[dict[str, Any]]] = {}
@@ -150,15 +135,7 @@ def _page_values(
         "doubts": doubts,
         "agreement": "" if doubts else words.errors_of_parts(bogie, healthy),
         "reference": words.reference(outcome),
-        "figures": [
-            {
-                "id": name,
-                "heading": gettext(HEADINGS[name]),
-                "explanation": explanations[name],
-                "image": data_uri(figure),
-            }
-            for name, figure in figures.items()
-        ],
+        "figures": {name: data_uri(figure) for name, figure in figures.items()},
         "groups": groups,
         "untold": words.untold(numbers),
         "scale": Finding("force-scale", bogie_mass_kg=vehicle.bogie_mass_kg),
@@ -191,23 +168,21 @@ def _trips(
     healthy: HealthyTrips, outcome: Commissioned, misfits: Sequence[float]
 ) -> list[dict[str, Any]]:
     """Return what page and JSON show of each trip."""
-    rows, loads_m = [], outcome.bogie.loads_m
-    for i, (manifest, trip) in enumerate(zip(healthy.manifests, healthy.of_parts, strict=True)):
-        ratio = float(outcome.bogie.masses[i])
-        rows.append(
-            {
-                "name": manifest.name,
-                "mileage_km": manifest.mileage_km,
-                "start": "" if manifest.start is None else manifest.start.isoformat(),
-                "mass_ratio": ratio,
-                "mass_kg": ratio * outcome.generator.vehicle.body_mass_kg,
-                "centre_m": [] if loads_m is None else loads_m[i].tolist(),
-                "speed_m_per_s": trip.speed_m_per_s,
-                "n_averages": trip.spectra.n_averages,
-                "misfit": misfits[i],
-            }
-        )
-    return rows
+    loads_m, masses = outcome.bogie.loads_m, outcome.bogie.masses.tolist()
+    return [
+        {
+            "name": manifest.name,
+            "mileage_km": manifest.mileage_km,
+            "start": "" if manifest.start is None else manifest.start.isoformat(),
+            "mass_ratio": masses[i],
+            "mass_kg": masses[i] * outcome.generator.vehicle.body_mass_kg,
+            "centre_m": [] if loads_m is None else loads_m[i].tolist(),
+            "speed_m_per_s": trip.speed_m_per_s,
+            "n_averages": trip.spectra.n_averages,
+            "misfit": misfits[i],
+        }
+        for i, (manifest, trip) in enumerate(zip(healthy.manifests, healthy.of_parts, strict=True))
+    ]
 
 
 def responses(

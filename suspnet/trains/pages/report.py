@@ -13,73 +13,19 @@ from matplotlib.figure import Figure
 from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import BODY_MASS, KIND_NAMES, Severity, part_words
 from suspnet.ground.records import INTERVAL_LEVEL, OK, Commissioning, TripResult, by_mileage
-from suspnet.ground.wording import span, thousands, unbroken
+from suspnet.ground.wording import span, thousands
 from suspnet.runs.figures import data_uri
-from suspnet.runs.language import N_, decimal, gettext, spoken
+from suspnet.runs.language import decimal, gettext, spoken
 from suspnet.trains.maintenance.alarms import Acknowledgement, newest_of
 from suspnet.trains.maintenance.assessment import Assessment, joined, overall, worst_first
-from suspnet.trains.maintenance.series import N_LAST, Event
+from suspnet.trains.maintenance.series import N_LAST
 from suspnet.trains.maintenance.state import State
 from suspnet.trains.pages.bogie import bogie_of, small_figures
 from suspnet.trains.pages.failing_sensors import failing_words
 from suspnet.trains.pages.tables import sensor_rows, trip_table
 from suspnet.trains.pages.templates import KILO, SEVERITIES, with_unit, write_page
 
-ROLES = {
-    "k_p": N_(", between axle box and bogie frame."),
-    "c_p": N_(", between axle box and bogie frame."),
-    "k_s": N_(", between bogie frame and car body; often an air spring."),
-    "c_s": N_(", between bogie frame and car body."),
-    "M_s": N_(": it varies with the payload and is no sign of faults."),
-}
-CAPTIONS = {
-    "trend": (
-        N_("Health along the mileage"),
-        N_(
-            "Each dot is a trip and 100 % is healthy: dots that stay level mean no change; look "
-            "for a line that leaves its level, and at the newest trips. Dashed lines are the "
-            "limits, where they are near. Red ticks at the bottom are trips without an "
-            "estimate.{intervals}{flags}"
-        ),
-    ),
-    "responses": (
-        N_("How the suspension passes vibration on"),
-        N_(
-            "Above: by how much each suspension amplifies vibration of each frequency, one line "
-            "for each trip; a suspension that does not change draws the same line again and "
-            "again. Below: the coherence, which is near 1 where the sensors explain each other."
-        ),
-    ),
-    "signals": (
-        N_("Signals of one trip"),
-        N_(
-            "Grey is the range of the measured vibration, red its mean. A channel that is flat, "
-            "cut off at a straight edge, or unlike the others points to a sensor, not to the "
-            "suspension."
-        ),
-    ),
-}
-SMALL_SHOWN = N_(
-    "each dot is a trip and 100 % is healthy, the line is the median of five neighbouring trips, "
-    "near the ends of fewer. "
-    "Dashed lines are the limits, where they are near; a triangle at the top is the start of an "
-    "alarm, a red tick at the bottom a trip without an estimate, a red bar there where the act "
-    "limit will be passed.{intervals}{flags}"
-)
-INTERVALS_SHOWN = N_(
-    " The bar through a dot is its {level} % interval: on {level} of 100 trips the true value lies "
-    "within it, if vehicle and recording are like those of the training. A bar that cannot be "
-    "seen is shorter than the dot."
-)
-FLAGS_SHOWN = N_(
-    " A hollow circle is a flagged trip: it shows something outside the training, and its "
-    "place may be wrong. A triangle at an edge is a trip beyond it, with its value."
-)
-RECOMMISSIONED = N_(
-    "Commissioned again: {}. Severities, medians and changes are of the trips since; each trip's "
-    "percentages are of its own healthy values, those in the figure of the first ones."
-)
-MAINTAINED = N_("Maintenance: {}. Severities, medians and changes are of the trips since the last.")
+FIGURES = ("trend", "responses", "signals")  # those that come first, with an explanation
 NAMED = 3  # largest number of parameters that the first sentence of a report names
 
 
@@ -124,15 +70,7 @@ def write_report(
     wheels, dead = wheels_finding(trips), failing_words(trips)
     worn = _on_last(trips, "worn", "worn-on")
     table = trip_table(trips, report.outputs, report.level)
-    # captions explain intervals and flags only where there are any
-    shown = {
-        "intervals": gettext(INTERVALS_SHOWN).format(level=table.level) if table.level else "",
-        "flags": gettext(FLAGS_SHOWN) if doubts else "",
-    }
-    order = [name for name in CAPTIONS if name in figures]
-    embedded = {
-        name: _embedded(name, figures[name], shown) for name in dict.fromkeys([*order, *figures])
-    }
+    order = dict.fromkeys([*(name for name in FIGURES if name in figures), *figures])
     alarms = sorted(state.watched.alarms, key=lambda a: (not a.is_open, -a.severity, a.begin_km))
     tone = SEVERITIES[severity][0]
     # without an alarm but with remarks the page is neutral
@@ -157,17 +95,15 @@ def write_report(
         alarms=[(alarm, newest_of(alarm, report.seen)) for alarm in alarms],
         bogie=bogie_of(state),
         small=small_figures(state, drawn_parts),
-        small_words=gettext(SMALL_SHOWN).format(**shown),
-        trend=embedded.pop("trend", None),
-        figures=list(embedded.values()),
+        figures={name: data_uri(figures[name]) for name in order},
         table=table,
         sensors=sensor_rows(state.series),
-        since_when=_since_when(report.commissionings, state.series.events),
+        commissionings=report.commissionings,
+        events=state.series.events,
         healthy=_healthy(trips),
         level=table.level,
         healthy_level=f"{100 * report.level:g}",
         kinds=KIND_NAMES,
-        roles=ROLES,
         details=report.details,
     )
 
@@ -220,47 +156,22 @@ def wheels_finding(trips: Sequence[TripResult]) -> str:
     return Finding(kind, **newest, n=len(affected), n_last=len(last))
 
 
-def _since_when(states: Sequence[Commissioning], events: Sequence[Event]) -> str:
-    """Return since when the assessments count, as text; empty if since the first trip."""
-    sentences = []
-    if states:
-        words = "; ".join(spoken(state.words) for state in states[1:])
-        sentences.append(gettext(RECOMMISSIONED).format(words))
-    if events:
-        words = "; ".join(spoken(str(event)) for event in events)
-        sentences.append(gettext(MAINTAINED).format(words))
-    return " ".join(sentences)
-
-
-def _headline(trips: Sequence[TripResult]) -> dict[str, str]:
+def _headline(trips: Sequence[TripResult]) -> dict[str, Any]:
+    """Return what the head of the page says; texts are empty where nothing is known."""
     mileage = [r.mileage_km for r in trips if math.isfinite(r.mileage_km)]
-    between = gettext("unknown")
-    if mileage:
-        ends = span(thousands(min(mileage)), thousands(max(mileage)))
-        between = unbroken(f"{spoken(ends)} km")
-    starts = sorted(r.start for r in trips if r.start)
-    counts = gettext("%(n)s, of which %(done)s with an estimate") % {
-        "n": len(trips),
-        "done": sum(r.status == OK for r in trips),
-    }
-    if n_flagged := sum(bool(r.flags) for r in trips):
-        counts += ", " + gettext("%(n)s of these flagged") % {"n": n_flagged}
+    starts = sorted(r.start[:10] for r in trips if r.start)
     misfits = [r.quality.misfit for r in trips if math.isfinite(r.quality.misfit)]
-    misfit = ""
-    if misfits:
-        ends = span(f"{min(misfits):.2f}", f"{max(misfits):.2f}")
-        noise = gettext("%(between)s times the noise; 1 is noise alone")
-        misfit = noise % {"between": spoken(ends)}
     places = dict.fromkeys(spoken(str(r.place)) for r in trips if r.place.suspension)
-    texts = {
-        N_("Vehicle"): ", ".join(dict.fromkeys(r.vehicle for r in trips if r.vehicle)),
-        N_("Suspension"): "; ".join(places),
-        N_("Mileage"): between,
-        N_("Dates"): spoken(span(starts[0][:10], starts[-1][:10])) if starts else "",
-        N_("Trips"): counts,
-        N_("Misfit"): misfit,
+    return {
+        "vehicle": ", ".join(dict.fromkeys(r.vehicle for r in trips if r.vehicle)),
+        "suspension": "; ".join(places),
+        "km": span(thousands(min(mileage)), thousands(max(mileage))) if mileage else "",
+        "dates": span(starts[0], starts[-1]) if starts else "",
+        "misfit": span(f"{min(misfits):.2f}", f"{max(misfits):.2f}") if misfits else "",
+        "n": len(trips),
+        "n_done": sum(r.status == OK for r in trips),
+        "n_flagged": sum(bool(r.flags) for r in trips),
     }
-    return {label: text for label, text in texts.items() if text}
 
 
 def _doubts(trips: Sequence[TripResult]) -> str:
@@ -287,13 +198,6 @@ def _commonest(reasons: Iterable[str]) -> str:
     """Return the reason that most trips have."""
     (most, n), *others = Counter(reasons).most_common()
     return Finding("n-of-them", n=n, words=most) if others else most
-
-
-def _embedded(name: str, figure: Figure, shown: Mapping[str, str]) -> dict[str, Any]:
-    """Return a figure's heading, explanation of what is `shown`, and image as a data URI."""
-    heading, explanation = CAPTIONS.get(name, (name.replace("_", " ").capitalize(), ""))
-    words = gettext(explanation).format(**shown)
-    return {"heading": gettext(heading), "explanation": words, "image": data_uri(figure)}
 
 
 def _healthy(trips: Sequence[TripResult]) -> dict[str, str]:

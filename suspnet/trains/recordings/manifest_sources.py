@@ -68,7 +68,7 @@ class Value:
         """
         if not isinstance(self.content, dict):
             raise self.refuse("a mapping")
-        required = [name for name, key in keys.items() if key.is_required]
+        required = [name for name, key in keys.items() if key.default == "-"]
         allowed = (*required, *(name for name in keys if name not in required))
         problems = [
             at(self.path, "key-unknown", name_of=self._name_of(name), allowed=str(allowed))
@@ -101,16 +101,6 @@ class ManifestKey:
     meaning: str
     unit: str = ""
     default: str = "-"
-
-    @property
-    def is_required(self) -> bool:
-        """Whether there is no default."""
-        return self.default == "-"
-
-    def row(self, name: str) -> str:
-        """Return the key's row of the table in docs/recordings.md."""
-        cells = f"| `{name}` | {self.type} | {self.unit} | {self.default} | {self.meaning} |"
-        return cells.replace("|  |", "| |")
 
 
 def key(*arguments: Any, **named: Any) -> dict[str, ManifestKey]:

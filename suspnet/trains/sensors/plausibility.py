@@ -41,11 +41,6 @@ LINKS = ("axle box and bogie frame", "bogie frame and car body")
 """Sensors between which the two coherences are."""
 COHERENT = 0.5  # lowest coherence at which gains are checked
 IN_ORDER = tuple(range(len(CHANNELS)))
-IF_SURE = (
-    "if you are sure, continue: with single sensors a vehicle unlike its drawing looks so too, and "
-    "a commissioned model checks again"
-)
-"""Advice appended to a doubt about channel order or speed."""
 SPEED_BAND_HZ = 20.0
 """The speed is checked below this frequency, which the spectra must reach, [Hz]."""
 KM_PER_H = 3.6
@@ -108,7 +103,7 @@ def check_channels(
         doubts.append(speed_words)
     if order * (DOUBTFUL_ORDER_MARGIN if doubtful else 1.0) > 1:
         doubts.append(Finding("order-unclear", order_words=order_words))
-    doubts += [IF_SURE] if doubts else []
+    doubts += [Finding("if-sure")] if doubts else []
     # at low frequency the gains hardly depend on the suspension: check units and signs there
     low_hz, high_hz = (float(factor * modes[0]) for factor in SLOW)
     slow = (frequencies_hz >= low_hz) & (frequencies_hz <= high_hz)

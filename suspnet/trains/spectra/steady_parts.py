@@ -24,7 +24,7 @@ from suspnet.estimation.fitted import FittedMethod, Model
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.findings import Finding, of, together
-from suspnet.ground.parameters import REVERSE, Direction
+from suspnet.ground.parameters import Direction
 from suspnet.ground.types import FloatArray
 from suspnet.trains.spectra.segments import in_band, without_incoherent, without_loud
 from suspnet.trains.spectra.wheel_lines import WheelLine, line_bins
@@ -244,11 +244,6 @@ class SeenBin:
     speeds: Speeds
     doubts: str
     left_out: Tensor | None
-
-    @property
-    def is_reverse(self) -> bool:
-        """Whether the trip was run in reverse."""
-        return self.direction == REVERSE
 
 
 Bin = TypeVar("Bin", bound=SeenBin)

@@ -38,10 +38,7 @@ def eras(models: Sequence[Model]) -> list[list[Model]]:
     if all(map(math.isnan, starts)):
         return [list(models)]
     if any(map(math.isnan, starts)):
-        raise ModelFileError(
-            "one run is commissioned and another is not, so their healthy values "
-            "differ; give runs that were trained with healthy=DIR"
-        )
+        raise ModelFileError(Finding("run-not-commissioned"))
     return [
         [model for model, km in zip(models, starts, strict=True) if km == start]
         for start in sorted(set(starts))
@@ -106,9 +103,7 @@ def check_models(models: Sequence[Model]) -> tuple[str, ...]:
             raise ModelFileError("models with protocol.mass_known=true cannot read trips")
     identities = [(model.vehicle, model.outputs) for model in models]
     if any(identity != identities[0] for identity in identities):
-        raise ModelFileError(
-            "the models of `run` must share vehicle and outputs; give runs of one vehicle"
-        )
+        raise ModelFileError(Finding("models-unlike"))
     for era in eras(models):
         if len({model.generator.bogie for model in era} - {None}) > 1:
             raise ModelFileError(Finding("both-bogies"))

@@ -12,6 +12,7 @@ from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.speeds import NoEstimateError, Speeds
 from suspnet.curves.welch import SegmentSpectra
 from suspnet.estimation.trip_settings import N_HEALTHY, TripSettings
+from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import Direction
 from suspnet.ground.tensors import threads
 from suspnet.trains.fits.healthy_misfit import HealthySpectra
@@ -40,10 +41,7 @@ from suspnet.trains.spectra.steady_parts import speed_of
 from suspnet.vehicle import SpatialVehicle, Vehicle, VerticalVehicle, best_generator
 from suspnet.vehicle.quantities import show_parts
 
-NO_DIRECTION = (
-    "the phases do not show the direction of travel: give `direction: forward` or `direction: "
-    "reverse`"
-)
+NO_DIRECTION = Finding("direction-not-shown")
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from suspnet.estimation.fitted import FittedMethod, Model
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.findings import WITHOUT_SENSORS, Finding, together, with_values, without
+from suspnet.ground.parameters import REVERSE
 from suspnet.ground.records import (
     ERROR,
     NO_ESTIMATE,
@@ -215,7 +216,8 @@ def _of_bins(bins: Sequence[SeenBin], model: Model, recording: Recording) -> dic
         "segments_used": sum(used.values()),
         "speed_m_per_s": float(weights @ [speed_bin.speed_m_per_s for speed_bin in bins]),
         "speed_bins": together(
-            f"{speed_bin.speed_m_per_s:.1f} m/s{' in reverse' if speed_bin.is_reverse else ''}: "
+            f"{speed_bin.speed_m_per_s:.1f} m/s"
+            f"{' in reverse' if speed_bin.direction == REVERSE else ''}: "
             f"{speed_bin.spectra.n_averages:.0f} averages"
             for speed_bin in bins
         ),
