@@ -19,6 +19,7 @@ from suspnet.ground.parameters import COMPONENTS, FORWARD, REVERSE
 from suspnet.trains.fits import bogie_fit, bogie_search
 from suspnet.trains.fits import healthy_scatter as bogie_scatter
 from suspnet.trains.fits.bogie_fit import (
+    EXPLAINED,
     SENSITIVITY,
     SENSITIVITY_OF_KINDS,
     commission_bogie,
@@ -420,7 +421,7 @@ def test_healthy_trips_end_at_the_minimum(masses, part):
         true = vehicle.with_uncertain(parts, torch.as_tensor(numbers))
         trips.append(trip(drawn(vehicle, true, i), 70.0))
     fit = BogieMisfit(vehicle, [NOISE] * len(trips), trips, are_healthy=True)
-    end = healthy_end(fit).finished(math.inf)
+    end = healthy_end(fit, (), EXPLAINED).finished(math.inf)
     residuals, slopes = end.fit.exact(end.x), end.fit.exact.jacobian(end.x)
     step = np.linalg.lstsq(slopes, -residuals, rcond=None)[0]
     deviations = np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)))
@@ -700,7 +701,7 @@ def test_healthy_trips_are_left_out_as_by_a_fit_to_the_others(parts, i, monkeypa
     law = SuspensionLaw.of_trips([None] * 4, [one.damper_speeds(VEHICLE.sensors) for one in trips])
     conditions = [law.conditions(None, one.damper_speeds(VEHICLE.sensors)) for one in trips]
     fit = healthy_misfit(vehicle, trips, np.array(conditions))
-    end = healthy_end(fit).finished(math.inf)
+    end = healthy_end(fit, (), EXPLAINED).finished(math.inf)
     logs, covariances = read_as_later(end.fit, end.x)
     one = trips[i]
     others = commission_bogie(vehicle, [other for other in trips if other is not one])

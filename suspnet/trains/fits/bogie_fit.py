@@ -247,7 +247,9 @@ def commission_bogie(
     law = SuspensionLaw.of_trips(celsius, speeds)
     conditions = [law.conditions(*of) for of in zip(celsius, speeds, strict=True)]
     fit = healthy_misfit(generator, trips, np.array(conditions))
-    end = healthy_end(fit, further_parts).finished(NEARLY_EXPLAINED * EXPLAINED)
+    end = healthy_end(fit, further_parts, EXPLAINED).finished(NEARLY_EXPLAINED * EXPLAINED)
+    if end.fit.errors is None:
+        end = replace(end, fit=end.fit.with_errors_at(end.x))
     fit, x, misfit, n, shared = end.fit, end.x, end.misfit, end.fit.n_numbers, end.fit.n_shared
     covariance = fit.covariance(x, max(1.0, misfit) ** 2)
     posterior = fit.numbers.moved(x[:n], covariance[:n, :n])
