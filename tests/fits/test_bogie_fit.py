@@ -30,6 +30,7 @@ from suspnet.trains.fits.bogie_misfit import BogieMisfit
 from suspnet.trains.fits.bogie_search import (
     SearchEnd,
     best_end,
+    freed,
     healthy_end,
     learnt_end,
     search,
@@ -665,6 +666,22 @@ def test_what_does_not_explain_its_trips_is_given_further_parts(monkeypatch, enr
     softness = dict(zip(numbers.names, numbers.median, strict=True))
     assert softness["floor_softness_body_left"] == pytest.approx(1.4, abs=0.05)
     assert softness["floor_softness_body_right"] == pytest.approx(0, abs=0.05)
+
+
+def test_errors_do_not_hide_a_much_better_end():
+    trips = [trip(drawn(VEHICLE, row({}, m), i), 70.0) for i, m in enumerate(MASSES)]
+    fit = healthy_misfit(VEHICLE, trips)
+    x = fit.start()
+    x[fit.numbers.names.index("healthy_k_s")] = -3.0
+    errors = torch.full((len(BINS), len(VEHICLE.sensors)), 0.5, dtype=torch.float64)
+    hidden = SearchEnd(replace(fit.with_noise_at(x), errors=errors), x, True)
+    assert hidden.misfit < 1.0 < 2.0 < hidden.bare_misfit
+    found = freed(hidden)
+    assert found.bare_misfit == pytest.approx(learnt_end(fit).bare_misfit, rel=0.02)
+    assert freed(found) is found
+    one_sided = replace(VEHICLE, sensors=VEHICLE.sensors[::2])
+    some = replace(hidden, fit=replace(hidden.fit, generator=one_sided))
+    assert freed(some) is some
 
 
 def test_what_explains_its_trips_is_given_none():
