@@ -35,11 +35,12 @@ from suspnet.runs.language import check_language, speaking
 from suspnet.runs.train import RunContext, train
 
 with optional("trips"):  # `suspensions` says what is missing
+    from suspnet.trains.fits.commissioning import as_bogie
     from suspnet.trains.identification.healthy_trips import read_healthy
     from suspnet.trains.jobs.commissioning import (
         check_generator,
         commission_parts,
-        commission_trips,
+        prior_of,
         write_bogie_model,
     )
     from suspnet.trains.pages.commissioning_page import training_notes, write_outcome
@@ -156,7 +157,7 @@ def _commissioned(
             ",".join(generator.parts),
         )
     bogie = commission_parts(healthy, trips)
-    outcome = commission_trips(healthy, generator, bogie)
+    outcome = as_bogie(prior_of(generator, healthy), bogie)
     with speaking(config.language):
         write_outcome(folder, healthy, outcome)
     usual = replace(outcome.generator, speed_m_per_s=median(healthy.speeds_m_per_s))

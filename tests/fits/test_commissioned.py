@@ -1,6 +1,5 @@
 """A commissioned bogie as a vehicle of equal sides, and the fit of rigid ones: naive sums."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,7 +11,7 @@ from suspnet.curves.cross_spectra import CrossSpectra, moving_average_with, samp
 from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.speeds import Speeds
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
-from suspnet.trains.fits.commissioning import NEGLIGIBLE_SHARE, SHARE, as_bogie
+from suspnet.trains.fits.commissioning import as_bogie
 from suspnet.trains.fits.healthy_misfit import SPREAD, HealthyMisfit, HealthySpectra
 from suspnet.vehicle import VerticalVehicle
 from suspnet.vehicle.quantities import OF_THE_TRIP, UNMEASURED, LogNormal
@@ -126,14 +125,3 @@ def test_numbers_that_a_bogie_lacks_keep_their_prior():
     assert found.posterior.deviations[row] == pytest.approx(0.1)
     others = [i for i in range(len(prior.names)) if i != row]
     np.testing.assert_array_equal(found.posterior.deviations[others], prior.deviations[others])
-
-
-@pytest.mark.parametrize("is_alone", [False, True])
-def test_wheelsets_that_are_not_excited_alone_are_left_out(is_alone):
-    generator = VerticalVehicle(AM96, parts=("wheelsets",), distribution="prior")
-    nominal = dict.fromkeys([SHARE], 10 * NEGLIGIBLE_SHARE if is_alone else NEGLIGIBLE_SHARE / 10)
-    generator = replace(generator, nominal=nominal)
-    names = generator.distribution.names
-    found = as_bogie(generator, known_bogie(names, np.log(2) * np.ones(len(names))))
-    assert (found.generator.parts == ("wheelsets",)) is is_alone
-    assert (SHARE in found.generator.distribution.names) is is_alone

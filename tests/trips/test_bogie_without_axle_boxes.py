@@ -11,9 +11,10 @@ from vehicles import AM96
 from suspnet.curves.estimates import EstimateSettings
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.trip_settings import TripSettings
+from suspnet.trains.fits.commissioning import as_bogie
 from suspnet.trains.identification.healthy_trips import read_healthy
 from suspnet.trains.jobs.check import CheckSettings, check_trip
-from suspnet.trains.jobs.commissioning import commission_trips
+from suspnet.trains.jobs.commissioning import prior_of
 from suspnet.trains.pages.check_page import READY, TOO_LITTLE, summary
 from suspnet.trains.pages.commissioning_page import write_outcome
 from suspnet.trains.recordings.errors import TripError
@@ -64,7 +65,7 @@ def test_its_vehicle_of_equal_sides_is_that_of_its_parts(tmp_path):
     assert found.speeds_m_per_s == pytest.approx([70.0] * 3)
     masses = np.array([1.0, 1.1, 1.2])
     bogie = CommissionedBogie(found.vehicle, torch.ones(4), masses, 1.05, True)
-    outcome = commission_trips(found, GENERATOR, bogie)
+    outcome = as_bogie(prior_of(GENERATOR, found), bogie)
     assert outcome.bogie == bogie
     of_parts, equal = bogie.generator.distribution, outcome.posterior
     for name, mean, deviation in zip(equal.names, equal.mean, equal.deviations, strict=True):

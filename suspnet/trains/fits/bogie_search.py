@@ -150,16 +150,11 @@ def enriched(end: SearchEnd, parts: Sequence[str]) -> SearchEnd:
         return _learnt(SearchEnd(fit, _first_step(fit), False), ENRICHED_ROUNDS)
     poorer = end
     for part in parts:
-        richer = _with_parts(end, [part])
+        fit, x = end.fit.with_parts([part], end.x)  # noise and errors as before
+        richer = SearchEnd(fit, *search(fit, x, 0.0, _thinned(fit), HEALTHY_TOLS[0]))
         if end.cost - richer.cost > WORTH:
             end = richer
     return end if end is poorer else _learnt(end, LEARNT_ROUNDS)
-
-
-def _with_parts(end: SearchEnd, parts: Sequence[str]) -> SearchEnd:
-    """Return the end with further parts, noise and errors as before."""
-    fit, x = end.fit.with_parts(parts, end.x)
-    return SearchEnd(fit, *search(fit, x, 0.0, _thinned(fit), HEALTHY_TOLS[0]))
 
 
 def _learnt(end: SearchEnd, rounds: int) -> SearchEnd:

@@ -12,13 +12,7 @@ import numpy as np
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.ground.wording import ShortRepr
 from suspnet.vehicle import VerticalVehicle
-from suspnet.vehicle.quantities import OF_THE_TRIP, QUANTITIES, LogNormal
-
-SHARE = "wheelset_share"
-"""Density of what excites each wheelset alone over the mean track's."""
-NEGLIGIBLE_SHARE = 5e-4
-"""Share of what excites each wheelset alone below which it is left out: at 0.01 it makes c_p 4.8 %
-wrong."""
+from suspnet.vehicle.quantities import OF_THE_TRIP, LogNormal
 
 
 @dataclass(frozen=True, repr=False)
@@ -48,7 +42,8 @@ def as_bogie(generator: VerticalVehicle, bogie: CommissionedBogie) -> Commission
     prior = generator.distribution
     assert prior is not None
     posterior = _posterior(prior, bogie)
-    return Commissioned(bogie, _simplest(generator, posterior), prior, posterior)
+    vehicle = replace(generator, distribution=posterior.renewed(OF_THE_TRIP))
+    return Commissioned(bogie, vehicle, prior, posterior)
 
 
 def _posterior(prior: LogNormal, bogie: CommissionedBogie) -> LogNormal:
@@ -63,16 +58,3 @@ def _posterior(prior: LogNormal, bogie: CommissionedBogie) -> LogNormal:
     covariance[np.ix_(own, own)] = np.array(known.covariance)[np.ix_(of_bogie, of_bogie)]
     mean[own] = np.array(known.mean)[of_bogie]
     return LogNormal(prior.names, tuple(mean), tuple(map(tuple, covariance)))
-
-
-def _simplest(generator: VerticalVehicle, posterior: LogNormal) -> VerticalVehicle:
-    """Return the generator with the posterior, without wheelsets that are not excited alone."""
-    if SHARE in posterior.names:
-        (usual,) = (quantity.nominal for quantity in QUANTITIES if quantity.name == SHARE)
-        share = float((generator.nominal or {}).get(SHARE, usual or 0.0))
-        most = share * float(posterior.quantile(2.0)[posterior.names.index(SHARE)])
-        if most < NEGLIGIBLE_SHARE:
-            parts = tuple(part for part in generator.parts if part != "wheelsets")
-            posterior = posterior.without((SHARE,))
-            generator = replace(generator, parts=parts, distribution=None)
-    return replace(generator, distribution=posterior.renewed(OF_THE_TRIP))

@@ -14,7 +14,6 @@ from suspnet.ground.storage import write_json
 from suspnet.ground.tensors import threads
 from suspnet.runs.train import environment
 from suspnet.trains.fits.bogie_fit import EXPLAINED, FURTHER_PARTS, commission_bogie
-from suspnet.trains.fits.commissioning import Commissioned, as_bogie
 from suspnet.trains.identification import commissioning_summary as words
 from suspnet.trains.identification.healthy_trips import HealthyTrips
 from suspnet.trains.recordings.errors import all_of
@@ -30,30 +29,17 @@ SIDE_M = dict(zip(SIDES, (1.0, -1.0), strict=True))
 """Assumed lateral position of a sensor if only its side is known, [m]."""
 
 
-def commission_trips(
-    healthy: HealthyTrips, generator: ResponseGenerator, bogie: CommissionedBogie
-) -> Commissioned:
-    """Return the vehicle of a bogie with both sides and axles as equal.
-
-    `generator` is the nominal vehicle; without parts it gets all but the air spring, without a
-    distribution the prior of its parts. ValueError if the generator cannot be commissioned.
-    """
-    generator = check_generator(generator)
-    for reason in healthy.left_out:
-        log.warning("left out of the healthy trips: %s", reason)
-    return as_bogie(prior_of(generator, healthy), bogie)
-
-
 # one thread: systems of 30 equations are too small for two, and results are the same anywhere
 @threads(1)
 def commission_parts(healthy: HealthyTrips, trips: TripSettings) -> CommissionedBogie:
     """Return the bogie that healthy trips show: each part, or all of a kind as equal.
 
-    TripError if sensors look swapped, or the trips show the
-    other bogie.
+    TripError if sensors look swapped, or the trips show the other bogie.
     """
     vehicle = healthy.vehicle
     folder = healthy.manifests[0].path.parent
+    for reason in healthy.left_out:
+        log.warning("left out of the healthy trips: %s", reason)
     for doubt in healthy.doubts:  # before the search, which takes minutes
         log.warning("%s", doubt)
 
