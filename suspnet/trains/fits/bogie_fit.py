@@ -252,6 +252,8 @@ def commission_bogie(
         end = replace(end, fit=end.fit.with_errors_at(end.x))
     fit, x, misfit, n, shared = end.fit, end.x, end.misfit, end.fit.n_numbers, end.fit.n_shared
     covariance = fit.covariance(x, max(1.0, misfit) ** 2)
+    if end.bare_misfit <= EXPLAINED:  # errors of the physics widen it more
+        covariance = fit.bent(x, covariance)
     posterior = fit.numbers.moved(x[:n], covariance[:n, :n])
     carried = x[shared:].reshape(len(trips), -1)[:, fit.n_parts :]
     return CommissionedBogie(

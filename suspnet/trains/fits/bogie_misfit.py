@@ -39,6 +39,9 @@ what temperature and speed do, where they are nonlinear and healthy trips show n
 the slope of c_s over the speed was -0.95 in place of -0.2 on healthy trips whose speeds differ by
 2.5 % (tests/rich_train.py, all, seed 7), and c_s was read 14 % too small where a spring had
 worn."""
+DRAWS = 60
+"""Draws by which a posterior's bend is measured. In README's demonstration the true vehicle is at
+chi^2 = 4470 of a posterior without it, and at 94 with it, of 91 numbers."""
 FURTHEST = 20.0
 """Largest coordinate of vehicles that are tried: logarithms of ratios, and deviations of priors."""
 SEPARATE = np.eye(len(COMPONENTS))
@@ -308,6 +311,23 @@ class BogieMisfit:
         weights = 1 + self.exact.error_shares(x) * max(0.0, n_alike - 1)
         middle = (data.T * weights) @ data / excess + prior.T @ prior
         return np.asarray(inverse @ middle @ inverse)
+
+    def bent(self, x: FloatArray, covariance: FloatArray) -> FloatArray:
+        """Return a posterior covariance with what it neglects: residuals are not linear in x.
+
+        The minimum lies in a valley that bends: where some numbers are off by d, normal with the
+        `covariance`, others have to follow. With r all residuals and J their derivatives ::
+
+            q = (r(x + d) + r(x - d)) / 2 - r(x),    s = -(J^T J)^-1 J^T q
+
+        and the mean of s s^T over ``DRAWS`` of d is added.
+        """
+        residuals, jacobian = self.exact, self.exact.jacobian(x)
+        draws = np.random.default_rng(0).standard_normal((DRAWS, len(x)))
+        offs, at_x = draws @ np.linalg.cholesky(covariance).T, residuals(x)
+        even = [(residuals(x + off) + residuals(x - off)) / 2 - at_x for off in offs]
+        steps = np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ np.transpose(even))
+        return covariance + steps @ steps.T / DRAWS
 
     def step_left(self, x: FloatArray) -> float:
         """Return the largest Newton step of a part from x, in deviations of the posterior."""
