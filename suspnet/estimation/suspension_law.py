@@ -160,12 +160,11 @@ class SuspensionLaw:
     def beside(
         self, names: Sequence[str], conditions: FloatArray, faster: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return how parts differ from those read by what their own dampers' speeds do.
+        """Return by how much parts read are off, and the covariance of their logarithms by slopes.
 
-        That are the differences of their logarithms, (n_names,), and the covariance by that of the
-        slopes, whose errors are the same for all parts of a kind, (n_names, n_names). `conditions`
-        (7,) are those by which they were read, `faster` (n_names,) the logarithms of the factors by
-        which their dampers are faster than these say.
+        Shapes (n_names,) and (n_names, n_names). They were read under `conditions` (7,), and their
+        own dampers are faster than these say by factors with the logarithms `faster` (n_names,).
+        The errors of the slopes are the same for all parts of a kind.
         """
         follow, by_speed = follows(names).T, np.arange(len(SLOPES)) >= N_OF_TEMPERATURE
         own = follow * np.outer(faster, by_speed)

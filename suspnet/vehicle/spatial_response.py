@@ -325,12 +325,11 @@ def strokes(
     p = numbers(columns)
     system = equations(layout, p, sensors, omega)
     whole = torch.cat([system.solved()[0], system.inputs], dim=2)
-    joints = {joint.damper: joint for joint in acting(layout, p)}
-    names = (*coordinates(layout), *wheel_inputs(layout.parts))
-    stretches = _matrix([joints[name].stretch for name in dampers], names, p["speed"])
-    shares = torch.stack([joints[name].element.of_damper(omega) for name in dampers], dim=1)
-    stretched = (stretches[:, None].to(whole.dtype) @ whole).permute(0, 3, 2, 1)
-    return stretched * shares[:, None]
+    joints = acting(layout, p)
+    rows = [[joint.damper for joint in joints].index(name) for name in dampers]
+    shares = torch.stack([joints[i].element.of_damper(omega) for i in rows], dim=1)
+    stretched = system.stretches[:, None, rows].to(whole.dtype) @ whole
+    return stretched.permute(0, 3, 2, 1) * shares[:, None]
 
 
 def derivatives(

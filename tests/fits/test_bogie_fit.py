@@ -16,7 +16,7 @@ from suspnet.curves.welch import Welch
 from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScatter
 from suspnet.estimation.suspension_law import SuspensionLaw
 from suspnet.ground.parameters import COMPONENTS, FORWARD, REVERSE
-from suspnet.trains.fits import bogie_fit, bogie_search
+from suspnet.trains.fits import bogie_fit, bogie_misfit, bogie_search
 from suspnet.trains.fits import healthy_scatter as bogie_scatter
 from suspnet.trains.fits.bogie_fit import (
     EXPLAINED,
@@ -375,7 +375,7 @@ def test_trips_are_searched_in_widening_bands_only_where_the_healthy_vehicle_is_
     called = []
     monkeypatch.setattr(bogie_fit, "best_end", lambda *args: called.append(args) or best_end(*args))
     if not is_explained:
-        monkeypatch.setattr(SearchEnd, "explains", lambda *_: False)
+        monkeypatch.setattr(bogie_fit, "EXPLAINED", 0.0)
     worn = trip(drawn(VEHICLE, row({"c_p_axle2_left": 0.5}), 5), 70.0)
     found = fit_parts(commissioned, worn)
     assert len(called) == (not is_explained)
@@ -764,6 +764,25 @@ def test_scatter_is_what_noise_does_not_explain(monkeypatch):
     np.testing.assert_allclose(found.own, own, atol=2e-3)
     np.testing.assert_allclose(found.alike, alike, atol=2e-3)
     assert found.n_trips == n
+
+
+def test_the_bend_of_the_valley_widens_the_posterior_as_the_docstring_says(monkeypatch):
+    monkeypatch.setattr(bogie_misfit, "DRAWS", 3)
+    trips = [trip(drawn(VEHICLE, row({}, m), i), 70.0) for i, m in enumerate(MASSES)]
+    end = learnt_end(healthy_misfit(VEHICLE, trips))
+    fit, x = end.fit, end.x
+    flat = fit.covariance(x, 1.0)
+    found, residuals, slopes = fit.bent(x, flat), fit.exact, fit.exact.jacobian(x)
+    root, expected = np.linalg.cholesky(flat), flat.copy()
+    for draw in np.random.default_rng(0).standard_normal((3, len(x))):
+        d = root @ draw
+        q = (residuals(x + d) + residuals(x - d)) / 2 - residuals(x)
+        s = -np.linalg.inv(slopes.T @ slopes) @ slopes.T @ q
+        expected += np.outer(s, s) / 3
+        # after that step the residuals are nearer to those at the minimum
+        off = residuals(x + d) - residuals(x) - slopes @ d
+        assert np.linalg.norm(q + slopes @ s) < np.linalg.norm(q) <= 3 * np.linalg.norm(off)
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-12)
 
 
 def test_lasting_errors_widen_the_posterior_as_the_docstring_says():

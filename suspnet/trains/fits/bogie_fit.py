@@ -146,7 +146,7 @@ def fit_parts(
     fit = replace(fit, conditions=conditions[None], slopes=np.array(law.slopes))
     near, first = (fit.start(), 0) if start is None else (nearer_start(fit, start), 2)
     end = narrowed(fit, near, first).finished(NEARLY_EXPLAINED * EXPLAINED)
-    if not end.explains(EXPLAINED):
+    if not end.converged or end.misfit > EXPLAINED:
         end = min(end, best_end(fit, EXPLAINED), key=lambda end: end.misfit)
     fit, x, misfit = end.fit, end.x, end.misfit
     first = fit.n_shared + fit.n_free
@@ -160,8 +160,7 @@ def fit_parts(
     by_speed, of_law = law.beside(names, conditions, np.linalg.pinv(ties) @ faster)
     covariance = covariance + of_law
     covariance[-1, -1] += BOGIE_MASS_DEVIATION**2
-    values = np.exp(x[own] - by_speed)
-    return PartsEstimate(values, covariance, misfit, end.converged, level, names)
+    return PartsEstimate(np.exp(x[own] - by_speed), covariance, misfit, end.converged, level, names)
 
 
 def beyond_noise(bogie: CommissionedBogie, logs: FloatArray) -> FloatArray:

@@ -409,9 +409,8 @@ class BogieMisfit:
     def own_speeds(self, x: FloatArray) -> FloatArray:
         """Return how much faster the damper beside each part is than the pairs of sensors show.
 
-        It is the change, by the parts found on one later trip, of the logarithm of the damper's
-        speed over that of the pairs, for all inputs that explain the trip best; shape (13,), of the
-        mass 0.
+        It is by how much the parts found on one later trip change the logarithm of the damper's
+        speed over that of the pairs, (13,), 0 of the mass.
         """
         trip, noise = self.trips[0], self.noises[0]
         noise = torch.diag(noise) if noise.ndim == 1 else noise
@@ -431,8 +430,7 @@ class BogieMisfit:
             power = (strokes @ inputs * strokes.conj()).real.sum(dim=2) / omega[:, None] ** 2
             speeds = np.log(power[used].sum(dim=0).numpy()) / 2
             ratios.append(speeds - pairs.repeat((len(CORNERS), len(SIDES))))
-        beside = np.repeat(ratios[0] - ratios[1], 2)  # of spring and damper
-        return np.append(beside, 0.0)
+        return np.append(np.repeat(ratios[0] - ratios[1], 2), 0.0)  # of spring and damper
 
     def with_chance_at(self, x: FloatArray) -> BogieMisfit:
         """Return the fit with the scatter of the dampers that healthy trips show at x.

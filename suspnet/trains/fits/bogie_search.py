@@ -90,10 +90,6 @@ class SearchEnd:
         """The sum of squares at the bins of searches that allow for errors."""
         return float(np.square(self.fit.at(0.0, _thinned(self.fit))(self.x)).sum())
 
-    def explains(self, explained: float) -> bool:
-        """Return whether the search converged, with at most that misfit."""
-        return self.converged and self.misfit <= explained
-
     def finished(self, explained: float) -> SearchEnd:
         """Return where the search from here ends without model errors, on all bins.
 
@@ -169,7 +165,7 @@ def best_end(fit: BogieMisfit, explained: float) -> SearchEnd:
     ends: list[SearchEnd] = []
     for near in _ends_near(fit, explained):
         ends.append(near.finished(NEARLY_EXPLAINED * explained))
-        if ends[-1].explains(explained):
+        if ends[-1].converged and ends[-1].misfit <= explained:
             return ends[-1]
     return min(ends, key=lambda end: end.misfit)
 

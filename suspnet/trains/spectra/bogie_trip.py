@@ -61,8 +61,9 @@ class BogieTrip(ShortRepr):
         for below, above in (("axle_box", "frame"), ("frame", "body")):
             squares = []
             for side in (*SIDES, "middle"):
+                at_side = {p: i for i, p in enumerate(own) if p.endswith(f"_{side}")}
                 ends = [
-                    next((i for i, place in enumerate(own) if _is_at(place, end, side)), None)
+                    next((i for p, i in at_side.items() if p.startswith(end)), None)
                     for end in (below, above)
                 ]
                 if None not in ends:
@@ -79,11 +80,6 @@ class BogieTrip(ShortRepr):
         not that one.
         """
         return [i for i, name in enumerate(sensors) if name not in self.lost]
-
-
-def _is_at(place: str, kind: str, side: str) -> bool:
-    """Return whether a place is of a kind and on a side."""
-    return place.startswith(kind) and place.endswith(f"_{side}")
 
 
 def smallest_noise(spectra: SpectralMatrix) -> Tensor:
