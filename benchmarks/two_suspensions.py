@@ -2,10 +2,10 @@
 
 python benchmarks/two_suspensions.py FOLDER
 
-FOLDER is that in which README's three commands were run. The trips get manifests with the sensors
-of the left side alone and of the right side alone, from which vehicles are commissioned and the
-trips read (protocol=trips). Runs that FOLDER holds already are taken. Writes two_suspensions.csv:
-what each reading says of the damper that fades.
+FOLDER is that in which the three commands at the top of docs/parts.md were run. The trips get
+manifests with the sensors of the left side alone and of the right side alone, from which vehicles
+are commissioned and the trips read (protocol=trips). Runs that FOLDER holds already are taken.
+Writes two_suspensions.csv: what each reading says of the damper that fades.
 """
 
 import csv
@@ -53,7 +53,7 @@ def rows_of(folder: Path, name: str) -> dict[str, dict[str, str]]:
 
 def main() -> None:
     parser = Parser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path, help="in which README's demonstration was run")
+    parser.add_argument("folder", type=Path, help="in which the commands of docs/parts.md were run")
     folder = parser.parse_args().folder.resolve()
     for side in SIDES:
         if list(folder.glob(f"outputs/evaluate/*trips_{side}*")):
