@@ -26,7 +26,8 @@ diagonal, the square of ``SENSITIVITY`` times the logarithm of the part, or time
 one: a vehicle that leaves mu_0 > 1 of its healthy trips moves differently with wear, too. Where all
 parts of a kind are read as one, ``SENSITIVITY_OF_KINDS`` is in its place, and the mass is no better
 known than before the trip if mu_0 is large. The variance of M_s has that of the bogie's mass, too,
-to which accelerations show it relative; it does not count where trips are compared.
+to which accelerations show it relative; it does not count where trips are compared. What wear does
+to the speed of each damper corrects its part by the law of the suspension (`SuspensionLaw.beside`).
 """
 
 from __future__ import annotations
@@ -61,10 +62,9 @@ from suspnet.vehicle.quantities import BOGIE_MASS_DEVIATION, MASS_DEVIATION
 EXPLAINED = 1.15
 """Misfit up to which a bogie is explained: plain trips of five minutes have up to 1.08."""
 SENSITIVITY = {"k_p": 0.005, "c_p": 0.05, "k_s": 0.005, "c_s": 0.05}
-"""Error of a part, as a fraction of the logarithm of the wear found, with an incomplete vehicle.
-On worn trips of tests/rich_train.py, set all, seeds 0 and 7, errors are most probable with 0 for
-k_p, c_p and k_s beyond noise and scatter, and with 0.04 for c_s. That of c_p is kept from when the
-family knew fewer effects."""
+"""Error of a part, as a fraction of the logarithm of the wear found, with an incomplete vehicle,
+from when the family knew fewer effects: set all of tests/rich_train.py, seeds 0 and 7, shows 0 of
+k_p, c_p and k_s, and 0.04 of c_s where it is not corrected by the speed of its damper."""
 SENSITIVITY_OF_KINDS = {"k_p": 0.15, "c_p": 1.0, "k_s": 0.2, "c_s": 0.4}
 """The same where all parts of a kind are read as one: three sensors on the left of that train with
 flexible modes, seed 0, read k_p of 62 % as 58, c_p of 50 as 108, k_s of 62 as 59, c_s of 50 as 65,
