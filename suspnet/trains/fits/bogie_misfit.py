@@ -417,11 +417,10 @@ class BogieMisfit:
         healthy, first = x.copy(), self.n_shared + self.n_free
         healthy[first : self.n_shared + self.n_parts] = 0.0
         used, omega = trip.of(self.all_bins), 2 * torch.pi * self.frequencies_hz
-        found = self._responses_at(x, 0, self.frequencies_hz).permute(2, 1, 0)
-        inputs = _input_spectra(trip.spectra.values - noise, found)
-        ratios = []
-        for at in x, healthy:
-            responses = self._responses_at(at, 0, self.frequencies_hz).permute(2, 1, 0)
+        points = x, healthy
+        both = [self._responses_at(at, 0, self.frequencies_hz).permute(2, 1, 0) for at in points]
+        inputs, ratios = _input_spectra(trip.spectra.values - noise, both[0]), []
+        for at, responses in zip(points, both, strict=True):
             values = responses @ inputs @ responses.mH
             expected = replace(trip, spectra=replace(trip.spectra, values=values))
             pairs = np.nan_to_num(np.log(expected.damper_speeds(self._sensors)))
