@@ -6,9 +6,8 @@ Overrides are those of train.py with data=trips. Largest Cramer-Rao bound of eac
 twelve trips, on each of which one part is at 80 %: one standard deviation in % of the part. The
 spectra of mean, cross level and alignment of the track are unknown in every bin. Vehicle known:
 only its parts and its car-body mass are unknown; learnt: all its numbers are, and healthy trips
-came before. Three sensors do not determine the response to three inputs of unknown spectra: their
-bounds hold only where the inputs are independent of each other, and no estimator here reads parts
-from them. Writes layouts.csv.
+came before. Three sensors do not determine the response to three inputs of unknown spectra: they
+take the mean of both rails as incoherent with what differs between these. Writes layouts.csv.
 """
 
 from collections.abc import Mapping, Sequence
@@ -43,10 +42,9 @@ def layouts_markdown(records: Sequence[Mapping[str, Any]]) -> str:
 def _records(found: LayoutBounds, share: float) -> list[Row]:
     """Return a record for each case and part of a layout."""
     alone = f", each wheelset excited alone at {100 * share:g} %" if share else ""
-    title = f"{found.layout}, inputs independent" if found.are_independent else found.layout
     return [
         {
-            "layout": title,
+            "layout": found.layout,
             "case": f"{case}{alone}",
             "parameter": name,
             "bound_percent": float(bound),

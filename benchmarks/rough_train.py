@@ -31,10 +31,10 @@ from tabulate import tabulate
 from vehicles import AM96
 
 import suspnet
-from suspnet.ground.parameters import COMPONENTS, kind_of
+from suspnet.ground.parameters import COMPONENTS
 from suspnet.trains.fits.bogie_fit import FURTHER_PARTS, fit_parts
 from suspnet.trains.fits.joint_estimate import joint_estimate
-from suspnet.trains.identification.bogie_trips import EQUAL_PARTS, PARTS_OF_BOGIE
+from suspnet.trains.identification.bogie_trips import PARTS_OF_BOGIE
 from suspnet.trains.simulation import Fleet
 
 RESULTS = TESTS.parent / "benchmarks" / "results"
@@ -70,9 +70,6 @@ def drawn_ratios(options, seed):
     for i, number in enumerate(np.linspace(0, n_drawn - 1, n_faults).round().astype(int)):
         first = options.healthy + options.together * i
         worn = [number % n_parts]
-        if options.sensors.startswith("three"):
-            kind = KINDS[i % len(KINDS)]
-            worn = [j for j, name in enumerate(COMPONENTS) if kind_of(name) == kind]
         ratios[first : first + options.together, worn] = levels[number]
     return ratios
 
@@ -82,7 +79,7 @@ def vehicle(options):
     places = [sensor.split() for sensor in LAYOUTS[options.sensors]]
     return suspnet.SpatialVehicle(
         AM96,
-        parts=EQUAL_PARTS if options.sensors.startswith("three") else PARTS_OF_BOGIE,
+        parts=PARTS_OF_BOGIE,
         sensors=tuple(f"{PLACES[name]}_{side}" for name, side in places),
         distribution="prior",
     )

@@ -103,8 +103,8 @@ PLACES = (
 """Places of vertical accelerometers: axle boxes of the measured bogie, its frame above the axles or
 at its centre, the body above the bogie; axles and sides as in ``CORNERS``."""
 LEAST_SENSORS = 4
-"""Least number of sensors that show each spring and damper: one more than the unknown spectra of
-the track, those of elevation, cross level and alignment."""
+"""Least number of sensors that show each spring and damper whatever the track does: one more than
+the unknown spectra of elevation, cross level and alignment."""
 ADDITIONS: dict[str, tuple[str, ...]] = {
     "frame_sway": ("y_1", "y_2"),
     "frame_yaw": ("chi_1", "chi_2"),
@@ -165,10 +165,16 @@ _KNOWN = {quantity.name: quantity for quantity in (*QUANTITIES, *SPATIAL_QUANTIT
 
 
 def show_parts(places: Sequence[str]) -> bool:
-    """Return whether sensors at these places show each part: more than inputs, on both sides."""
-    showing = [place for place in places if place not in IN_BETWEEN]
-    sides = {place.rpartition("_")[2] for place in showing}
-    return len(showing) >= LEAST_SENSORS and sides.issuperset(SIDES)
+    """Return whether sensors at these places show each part.
+
+    They do if there are ``LEAST_SENSORS``, some on each side, or axle box, frame and body are
+    measured beside the middle.
+    """
+    showing = [place.split("_") for place in places if place not in IN_BETWEEN]
+    beside = [words for words in showing if words[-1] in SIDES]
+    if len(showing) >= LEAST_SENSORS and len({words[-1] for words in beside}) == len(SIDES):
+        return True
+    return len({words[0] for words in beside}) == len(("axle_box", "frame", "body"))
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import norm
+from test_bogie_fit import VEHICLE
 
 from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScatter
 from suspnet.ground.parameters import BOGIE_PARTS
@@ -22,7 +23,7 @@ def bogie(misfit=1.0, seed=0):
     root = rng.standard_normal((12, 12)) + 2 * np.eye(12)
     noise = tuple(map(tuple, 1e-5 * root @ root.T))
     scatter = HealthyScatter((2e-3, 1e-2, 1e-3, 3e-3), (1e-3, 5e-3, 0.0, 1e-3), 6, noise)
-    return CommissionedBogie(None, None, np.ones(6), misfit, True, scatter=scatter)
+    return CommissionedBogie(VEHICLE, None, np.ones(6), misfit, True, scatter=scatter)
 
 
 def half_widths(of, logs):

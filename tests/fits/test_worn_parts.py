@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
+from test_bogie_fit import VEHICLE
 
 from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScatter
 from suspnet.ground.parameters import COMPONENTS
@@ -126,7 +127,7 @@ def test_parts_that_trade_for_each_other_are_named_together():
 def test_a_part_is_named_from_its_least_loss_on(misfit):
     noise = tuple(map(tuple, np.zeros((12, 12))))
     scatter = HealthyScatter((1e-3, 5e-3, 1e-3, 2e-3), (0.0,) * 4, 6, noise)
-    bogie = CommissionedBogie(None, None, np.ones(6), misfit, True, scatter=scatter)
+    bogie = CommissionedBogie(VEHICLE, None, np.ones(6), misfit, True, scatter=scatter)
     losses = least_losses(bogie)
     wider = scatter.student(0.9) ** 2
     for i, name in enumerate(COMPONENTS[:-1]):
@@ -147,7 +148,7 @@ def scattering(own, n_trips):
     """Return a bogie of which each part scatters by `own` beyond noise of 0.5 %."""
     noise = tuple(map(tuple, (0.005**2 * np.eye(12)).tolist()))
     scatter = HealthyScatter((own,) * 4, (0.0,) * 4, n_trips, noise)
-    return CommissionedBogie(None, None, np.ones(n_trips), 1.0, True, scatter=scatter)
+    return CommissionedBogie(VEHICLE, None, np.ones(n_trips), 1.0, True, scatter=scatter)
 
 
 def test_healthy_trips_accuse_as_often_as_draws_of_them():

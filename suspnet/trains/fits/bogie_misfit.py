@@ -25,9 +25,10 @@ from suspnet.ground.parameters import COMPONENTS, CORNERS, PARAMETERS, SIDES, Di
 from suspnet.ground.types import FloatArray
 from suspnet.trains.fits.bogie_residuals import Residuals
 from suspnet.trains.spectra.bogie_trip import BogieTrip, smallest_noise
+from suspnet.trains.spectra.covariance_matching import CovarianceMisfit, matched_noise, misfit_of
 from suspnet.trains.spectra.model_errors import SPACING_HZ, Explained, model_errors
 from suspnet.trains.spectra.noise_subspace import DamperForces, Leakage, TripNoise, trip_noise
-from suspnet.trains.spectra.subspace import SubspaceMisfit
+from suspnet.trains.spectra.subspace import SpectralMatrix
 from suspnet.vehicle import SpatialVehicle
 from suspnet.vehicle.quantities import LOAD_DEVIATIONS, MASS_DEVIATION, MASS_MEAN, LogNormal
 
@@ -39,6 +40,10 @@ what temperature and speed do, where they are nonlinear and healthy trips show n
 the slope of c_s over the speed was -0.95 in place of -0.2 on healthy trips whose speeds differ by
 2.5 % (tests/rich_train.py, all, seed 7), and c_s was read 14 % too small where a spring had
 worn."""
+UNEVEN = 0.3
+"""Standard deviation, before a trip, of the cross level that comes with the mean of both rails: it
+is 0 if both are as rough. Where sensors do not outnumber the inputs, c_p would err by 20 % (of axle
+1, right, by sensors on the left) if the left rail had 1.5 times the density of the right one."""
 DRAWS = 60
 """Draws by which a posterior's bend is measured. In README's demonstration the true vehicle is at
 chi^2 = 4470 of a posterior without it, and at 94 with it, of 91 numbers."""
@@ -50,24 +55,30 @@ EQUAL = np.array([[name.startswith(kind) for kind in PARAMETERS] for name in COM
 coordinate, or all parts of a kind share one."""
 
 
-def _input_spectra(signals: Tensor, responses: Tensor) -> Tensor:
-    """Return the spectra of the inputs, (n_freq, p, p), that explain spectra without noise best.
+def _input_spectra(spectra: SpectralMatrix, noise: Tensor, responses: Tensor) -> Tensor:
+    """Return the spectra of the inputs, (n_freq, p, p), that explain a trip's spectra best.
 
-    `signals` (n_freq, m, m), `responses` (n_freq, m, p).
+    `noise` (n_freq, m, m), `responses` (p, m, n_freq).
     """
-    inverse = torch.linalg.pinv(responses)
-    power, vectors = torch.linalg.eigh(inverse @ signals @ inverse.mH)
-    spectra: Tensor = vectors * power.clamp(min=0)[:, None] @ vectors.mH
-    return spectra
+    misfit = misfit_of(spectra, noise, len(responses))
+    if isinstance(misfit, CovarianceMisfit):
+        inputs = misfit.inputs(responses)
+    else:
+        inverse = torch.linalg.pinv(responses.permute(2, 1, 0))
+        inputs = inverse @ (spectra.values - noise) @ inverse.mH
+    power, vectors = torch.linalg.eigh(inputs)
+    positive: Tensor = vectors * power.clamp(min=0)[:, None] @ vectors.mH
+    return positive
 
 
 @dataclass(frozen=True)
 class BogieMisfit:
     """The sum of squares of some trips: coordinates of z, then each trip's own numbers.
 
-    `noises` are those of the trips' sensors as `SubspaceMisfit` takes them. Healthy trips have the
+    `noises` are those of the trips' sensors as `misfit_of` takes them. Healthy trips have the
     logarithm of their mass as their own number, after those by which c_p and c_s of both bogies
-    differ by chance if the vehicle has the part nonlinear_dampers, others those that `ties` (13,
+    differ by chance if the vehicle has the part nonlinear_dampers, and one that says how uneven the
+    rails are where sensors do not outnumber the inputs; others those that `ties` (13,
     n_tied) makes the logarithms of all parts and the mass from, the mass last. Where the vehicle
     has the part load, log(1 + where its centre is [m]) follows, of each direction of
     ``LOAD_DEVIATIONS``. `mass` is what the masses of the trips are expected about, the median of
@@ -164,14 +175,30 @@ class BogieMisfit:
         return self.ties[:, -1:] if self.are_healthy else self.ties
 
     @property
-    def n_free(self) -> int:
+    def n_chance(self) -> int:
         """Number of coordinates of each trip that say how its dampers differ by chance."""
         return N_OF_TEMPERATURE if self.has_speeds else 0
 
+    @property
+    def is_matched(self) -> bool:
+        """Whether sensors are too few for inputs of any coherence: covariances are matched."""
+        n_sensors = min(len(self.sensors_of(trip)) for trip in self.trips)
+        return n_sensors <= len(self._inputs)
+
+    @property
+    def n_uneven(self) -> int:
+        """Number of coordinates of each trip that say how much rougher one rail is, 1 or 0."""
+        return int(self.is_matched)
+
+    @property
+    def n_free(self) -> int:
+        """Number of coordinates of each trip before those of its parts."""
+        return self.n_chance + self.n_uneven
+
     @cached_property
     def _by_chance(self) -> FloatArray:
-        """Changes of the columns' logarithms with these coordinates, (n_free, n_columns)."""
-        changes = self._follows[: self.n_free].copy()
+        """Changes of the columns' logarithms with dampers by chance, (n_chance, n_columns)."""
+        changes = self._follows[: self.n_chance].copy()
         if not self.are_healthy:  # those of the measured bogie have coordinates of their own
             changes[:, : len(COMPONENTS)] = 0.0
         return changes
@@ -211,7 +238,8 @@ class BogieMisfit:
     def _own(self) -> tuple[FloatArray, FloatArray]:
         """Prior mean and standard deviation of each trip's own numbers, (n_own,) each."""
         mean, deviation = np.zeros(self.n_own), np.full(self.n_own, WEAR)
-        deviation[: self.n_free] = self.chance[: self.n_free]
+        deviation[: self.n_chance] = self.chance[: self.n_chance]
+        deviation[self.n_chance : self.n_free] = UNEVEN
         mean[self.n_parts] = math.log(self.mass)
         deviation[self.n_parts :] = (MASS_DEVIATION, *LOAD_DEVIATIONS.values())[: self.n_load]
         return mean, deviation
@@ -251,7 +279,7 @@ class BogieMisfit:
         `bins` are numbers of ``frequencies_hz``.
         """
         subspaces = [
-            SubspaceMisfit(
+            misfit_of(
                 trip.spectra.at(trip.of(bins)),
                 noise if noise.ndim == 1 else noise[trip.of(bins)],
                 len(self._inputs),
@@ -349,16 +377,28 @@ class BogieMisfit:
             start = noise if noise.ndim == 1 else smallest_noise(trip.spectra)
             bins = trip.of(self.all_bins)
             responses = self.responses(x, i, bins)
-            alone = self._of(trip).channels_alone(self._rows(x, i), self.frequencies_hz[bins])[0]
-            alone = alone[self._inputs][:, :, self.sensors_of(trip)]
-            leakage = self._leakage(x, i, responses)
-            forces = self._forces(x, i)
-            at_bins = trip_noise(trip.spectra.at(bins), responses, alone, start, leakage, forces)
+            if self.is_matched:
+                at_bins = matched_noise(trip.spectra.at(bins), responses, start)
+            else:
+                at_bins = trip_noise(
+                    trip.spectra.at(bins),
+                    responses,
+                    self._alone(x, i, bins),
+                    start,
+                    self._leakage(x, i, responses),
+                    self._forces(x, i),
+                )
             # bins that are left out have any noise
             matrix = torch.diag(at_bins.densities).to(at_bins.matrix)
             matrix = matrix.repeat(len(self.all_bins), 1, 1).index_copy(0, bins, at_bins.matrix)
             noises.append(replace(at_bins, matrix=matrix))
         return noises
+
+    def _alone(self, x: FloatArray, i: int, bins: Tensor) -> Tensor:
+        """Return the responses of trip i's sensors to each input under one wheelset alone."""
+        rows, sensors = self._rows(x, i), self.sensors_of(self.trips[i])
+        alone = self._of(self.trips[i]).channels_alone(rows, self.frequencies_hz[bins])[0]
+        return alone[self._inputs][:, :, sensors]
 
     def _forces(self, x: FloatArray, i: int) -> DamperForces:
         """Return what the dampers of both bogies do to the sensors of trip i."""
@@ -400,8 +440,9 @@ class BogieMisfit:
         fit, trips = self.with_noise_at(x), []
         for i, (trip, noise) in enumerate(zip(self.trips, fit.noises, strict=True)):
             # bins that are left out are as expected, too
-            responses = self._responses_at(x, i, self.frequencies_hz).permute(2, 1, 0)
-            inputs = _input_spectra(trip.spectra.values - noise, responses)
+            responses = self._responses_at(x, i, self.frequencies_hz)
+            inputs = _input_spectra(trip.spectra, noise, responses)
+            responses = responses.permute(2, 1, 0)
             values = responses @ inputs @ responses.mH + noise
             trips.append(replace(trip, spectra=replace(trip.spectra, values=values)))
         return replace(fit, trips=trips)
@@ -418,14 +459,15 @@ class BogieMisfit:
         healthy[first : self.n_shared + self.n_parts] = 0.0
         used, omega = trip.of(self.all_bins), 2 * torch.pi * self.frequencies_hz
         points = x, healthy
-        both = [self._responses_at(at, 0, self.frequencies_hz).permute(2, 1, 0) for at in points]
-        inputs, ratios = _input_spectra(trip.spectra.values - noise, both[0]), []
+        both = [self._responses_at(at, 0, self.frequencies_hz) for at in points]
+        inputs, ratios = _input_spectra(trip.spectra, noise, both[0]), []
         for at, responses in zip(points, both, strict=True):
+            responses = responses.permute(2, 1, 0)
             values = responses @ inputs @ responses.mH
             expected = replace(trip, spectra=replace(trip.spectra, values=values))
             pairs = np.nan_to_num(np.log(expected.damper_speeds(self._sensors)))
             strokes = self._of(trip).strokes(self._rows(at, 0), self.frequencies_hz)
-            strokes = strokes[0, self._inputs].permute(2, 1, 0)
+            strokes = self._on_rails(at, 0, strokes[0, self._inputs]).permute(2, 1, 0)
             power = (strokes @ inputs * strokes.conj()).real.sum(dim=2) / omega[:, None] ** 2
             speeds = np.log(power[used].sum(dim=0).numpy()) / 2
             ratios.append(speeds - pairs.repeat((len(CORNERS), len(SIDES))))
@@ -437,11 +479,11 @@ class BogieMisfit:
         With u_i what the dampers of a kind differ by on trip i, and V_i its variance, the square of
         the standard deviation is the mean of u_i^2 + V_i: a step of expectation maximisation.
         """
-        if not self.n_free:
+        if not self.n_chance:
             return self
         own, n = x[self.n_shared :].reshape(len(self.trips), -1), self.n_shared
         variances = np.diag(self.covariance(x, 1.0))[n:].reshape(own.shape)
-        squares = (own**2 + variances)[:, : self.n_free].mean(axis=0)
+        squares = (own**2 + variances)[:, : self.n_chance].mean(axis=0)
         c_p, c_s = np.sqrt(squares).tolist()
         return replace(self, chance=(c_p, c_s))
 
@@ -509,7 +551,7 @@ class BogieMisfit:
         if self.conditions is None:
             return rows, torch.ones_like(rows)
         logs = self.conditions[i] * self._slopes_at(x) @ self._follows
-        factors = torch.as_tensor(np.exp(logs + free @ self._by_chance))
+        factors = torch.as_tensor(np.exp(logs + free[: self.n_chance] @ self._by_chance))
         # a loss below 0, which is none, does not change
         return rows, torch.where(rows > 0, factors, 1.0)
 
@@ -520,7 +562,18 @@ class BogieMisfit:
     def _responses_at(self, x: FloatArray, i: int, frequencies_hz: Tensor) -> Tensor:
         trip = self.trips[i]
         every = self._of(trip).channels(self._rows(x, i), frequencies_hz)[0, self._inputs]
-        return every[:, self.sensors_of(trip)]
+        return self._on_rails(x, i, every[:, self.sensors_of(trip)])
+
+    def _on_rails(self, x: FloatArray, i: int, by_input: Tensor) -> Tensor:
+        """Return what each input (..., p, m, n_freq) does if one rail is rougher than the other.
+
+        The mean of both brings the cross level that is coherent with it.
+        """
+        if not self.n_uneven:
+            return by_input
+        share = x[self.n_shared + self.n_own * i + self.n_chance]
+        first = by_input[..., :1, :, :] + share * by_input[..., 1:2, :, :]
+        return torch.cat([first, by_input[..., 1:, :, :]], dim=-3)
 
     @cached_property
     def _directions(self) -> Tensor:
@@ -551,7 +604,7 @@ class BogieMisfit:
         inner = torch.where(offsets > 0, factors * (alike + offsets) / (rows + offsets), 1.0)
         directions = self._directions * inner
         sizes = torch.as_tensor(np.concatenate([self.by_slopes(i), self._by_chance]))
-        own = slice(self.n_numbers, self.n_shared + self.n_free)
+        own = slice(self.n_numbers, self.n_shared + self.n_chance)
         directions[own] = sizes * rows.clamp(min=0) / (rows + offsets)
         return directions
 
@@ -566,4 +619,8 @@ class BogieMisfit:
             alike * factors, self.frequencies_hz[trip.of(bins)], directions
         )
         inputs, sensors = self._inputs, self.sensors_of(trip)
-        return responses[0, inputs][:, sensors], changes[0][:, inputs][:, :, sensors]
+        own, changes = responses[0, inputs][:, sensors], changes[0][:, inputs][:, :, sensors]
+        changes = self._on_rails(x, i, changes)
+        if self.n_uneven:
+            changes[self.n_shared + self.n_chance, 0] = own[1]
+        return self._on_rails(x, i, own), changes

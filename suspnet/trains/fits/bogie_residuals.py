@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from suspnet.ground.types import FloatArray
+from suspnet.trains.spectra.covariance_matching import CovarianceMisfit
 from suspnet.trains.spectra.subspace import SubspaceMisfit
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ class Residuals:
 
     fit: BogieMisfit
     bins: Tensor
-    subspaces: Sequence[SubspaceMisfit]
+    subspaces: Sequence[SubspaceMisfit | CovarianceMisfit]
 
     def __call__(self, x: FloatArray) -> FloatArray:
         """Return those of all trips, then those of the priors, (n_points,)."""
@@ -61,8 +62,7 @@ class Residuals:
         shares = []
         for i, subspace in enumerate(self.subspaces):
             of_bins = subspace.error_shares(self.fit.responses(x, i, self.bins))
-            n_of_bin = 2 * subspace.spectra.values.shape[-1] * subspace.n_inputs
-            shares.append(of_bins.repeat_interleave(n_of_bin).numpy())
+            shares.append(of_bins.repeat_interleave(subspace.n_of_bin).numpy())
         return np.concatenate(shares)
 
     def in_orders(self, x: FloatArray, orders: Sequence[Sequence[int]]) -> FloatArray:

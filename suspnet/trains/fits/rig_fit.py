@@ -36,8 +36,9 @@ from torch import Tensor
 from suspnet.curves.welch import Welch
 from suspnet.estimation.commissioned_rig import BANDS, RigReading
 from suspnet.ground.types import ComplexArray, FloatArray
-from suspnet.trains.spectra.model_errors import equations_of, model_errors
+from suspnet.trains.spectra.model_errors import model_errors
 from suspnet.trains.spectra.rig_spectra import TAPS, RigSpectra
+from suspnet.trains.spectra.subspace import equations_of
 from suspnet.vehicle.rig import DEVIATIONS, Rig, equations, patterns
 
 FACTORS = (0.5, 1.0, 2.0)

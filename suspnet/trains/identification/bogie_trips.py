@@ -65,7 +65,7 @@ LOW_HZ, HIGH_HZ = 0.5, 18.0
 MAINS_HZ, HUM_BINS = (16.5, 16.83), 3
 """Frequencies of railway mains, whose hum no vehicle explains, a third of a grid's that may be 1 %
 off 50 Hz (IEC 60850), and the reach of its leakage in bins of a segment."""
-SPACING_HZ, EQUAL_SPACING_HZ = 0.1, 0.05
+SPACING_HZ, FEW_SPACING_HZ = 0.1, 0.05
 """Distance of the bins that are read, far enough for them to be independent. Few sensors need
 all data of a trip: 6 bins of its longest segments, of which 5 are averaged."""
 
@@ -158,7 +158,8 @@ def _trip_of_all(
     lost = _lost_sensors(recording, generator)
     n_sensors = len(generator.sensors) - len(lost)
     # the most bins, in a band about each one that is read, that do not reach into the next band
-    every = round((SPACING_HZ if generator.shows_parts else EQUAL_SPACING_HZ) * segment_s)
+    is_few = len(generator.sensors) < LEAST_SENSORS
+    every = round((FEW_SPACING_HZ if is_few else SPACING_HZ) * segment_s)
     n_bins = min(N_BINS, every - (every + 1) % 2)
     if recording.duration_s < segment_s:
         raise NoEstimateError(_too_short(0, n_sensors, segment_s, n_bins))

@@ -62,15 +62,13 @@ class LayoutBounds:
 
     They are the largest ones over twelve trips, on each of which one part is worn to ``WORN``.
     `known` is for a vehicle of which all other numbers are known, `learnt` for one that was learnt
-    from healthy trips. `are_independent`: the inputs are assumed to be so, which no estimator
-    here does; without that assumption, the sensors are too few and all bounds are infinite.
+    from healthy trips.
     """
 
     layout: str
     sensors: tuple[str, ...]
     known: FloatArray
     learnt: FloatArray
-    are_independent: bool
 
 
 def layout_bounds(
@@ -115,7 +113,7 @@ def layout_bounds(
     for name, places in layouts.items():
         trip = _Trip.of(generator, tuple(places), settings, wheelset_share)
         known, learnt = trip.bounds(n_healthy)
-        bounds.append(LayoutBounds(name, tuple(places), known, learnt, trip.are_independent))
+        bounds.append(LayoutBounds(name, tuple(places), known, learnt))
     return bounds
 
 
@@ -163,7 +161,7 @@ class _Trip:
         return sum(not name.startswith("wheelset") for name in self.vehicle.inputs)
 
     @property
-    def are_independent(self) -> bool:
+    def is_matched(self) -> bool:
         """Whether the sensors are too few for inputs of any coherence."""
         assert self.vehicle.sensors is not None
         return len(self.vehicle.sensors) <= self._n_track
@@ -200,10 +198,11 @@ class _Trip:
         n = self._n_track
         further = range(n, len(self.vehicle.inputs))
         alone = [list(further[i : i + 4]) for i in range(0, len(further), 4)]  # four wheelsets
-        if self.are_independent:
-            n, alone = 0, [[i] for i in range(n)] + alone
+        coherent = range(n)
+        if self.is_matched:
+            coherent, alone = range(1, n), [[0], *alone]
         information = spectral_information(
-            responses[0], changes[0], self.density, self.noise, n, alone
+            responses[0], changes[0], self.density, self.noise, coherent, alone
         )
         return self.n_averages * information
 
@@ -228,7 +227,7 @@ def spectral_information(
     changes: Tensor,
     density: Tensor,
     noise: Tensor,
-    n_coherent: int,
+    coherent: Sequence[int],
     alone: Sequence[Sequence[int]] = (),
 ) -> FloatArray:
     """Return the Fisher information of one average, (n_directions, n_directions).
@@ -239,9 +238,10 @@ def spectral_information(
 
         I_jk = sum over the bins of n tr(W_j W_k),    W_j = L^-1 (dS / d theta_j) L^-*,  S = L L^*
 
-    D is unknown in every bin: W_j is projected off the W of D's own numbers. For D of any coherence
-    this is J^T J of the residuals of `trains.spectra.subspace` at the exact S, so that subspace
-    fitting reaches it. N is known here: its estimate from all bins costs little.
+    D is unknown in every bin: W_j is projected off the W of D's own numbers. This is J^T J of the
+    residuals of `trains.spectra.subspace` at the exact S for D of any coherence, and of those of
+    `covariance_matching` for an input that is incoherent with the others, so that fitting reaches
+    it. N is known here: its estimate from all bins costs little.
 
     Parameters
     ----------
@@ -250,8 +250,8 @@ def spectral_information(
     density : Tensor of shape (n_freq,), [(m/s^2)^2/Hz]
         True density of each input, which are independent of each other.
     noise : Tensor of shape (m,), [(m/s^2)^2/Hz]
-    n_coherent : int
-        Number of first inputs whose spectral matrix may be anything.
+    coherent : sequence of int
+        Inputs whose spectral matrix may be anything.
     alone : sequence of sequences of int
         Further inputs; those of each sequence are independent, and of one unknown density.
     """
@@ -266,8 +266,8 @@ def spectral_information(
     half = density[:, None, None, None] * (moved @ a.mH[:, None])
     spectra = [a[:, :, list(inputs)] @ a[:, :, list(inputs)].mH for inputs in alone]
     w = torch.cat([half + half.mH, *(spectrum[:, None] for spectrum in spectra)], dim=1)
-    if n_coherent:
-        basis = torch.linalg.qr(a[:, :, :n_coherent])[0]
+    if coherent:
+        basis = torch.linalg.qr(a[:, :, list(coherent)])[0]
         projector = (basis @ basis.mH)[:, None]
         w = w - projector @ w @ projector
     rows = torch.view_as_real(w).flatten(2)

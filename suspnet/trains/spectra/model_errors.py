@@ -26,8 +26,9 @@ from scipy.optimize import nnls
 from torch import Tensor
 
 from suspnet.ground.types import FloatArray
+from suspnet.trains.spectra.covariance_matching import misfit_of
 from suspnet.trains.spectra.hat_functions import hat_functions
-from suspnet.trains.spectra.subspace import SpectralMatrix, SubspaceMisfit
+from suspnet.trains.spectra.subspace import SpectralMatrix
 
 SPACING_HZ = 1.0
 """Distance of the frequencies between which errors are interpolated."""
@@ -61,26 +62,9 @@ class Explained:
         Real and imaginary parts one after the other, (n_freq, n), (n_freq, n), (n_freq, m, n);
         `squares` (n_freq, m) are eps_i^2 in N'.
         """
-        n, p = self.spectra.n_averages, len(self.responses)
-        misfit = SubspaceMisfit(self.spectra, self.noise, p, (n * squares).sqrt())
-        residuals, rows = misfit.free(self.responses)
-        noise = rows @ self.noise @ rows.mH
-        target = residuals @ residuals.mH / 2 - p * noise
-        patterns = torch.einsum("fai,fbi->fiab", rows, rows.conj())
-        patterns = patterns * (p * n * self.spectra.densities)[:, :, None, None]
-        return equations_of(target, noise, patterns, p)
-
-
-def equations_of(
-    target: Tensor, noise: Tensor, patterns: Tensor, p: int = 1
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Return complex matrices (..., n, n) as `Explained.rest` does; `noise`: of one input."""
-    power = noise.diagonal(dim1=-2, dim2=-1).real
-    # a diagonal element is real and scatters as much as both parts of another one
-    parts = (1 + torch.eye(power.shape[1], dtype=power.dtype)) / 2
-    scatter = (p * parts * power[:, :, None] * power[:, None, :]).sqrt()
-    deviations = torch.stack([scatter, scatter], dim=-1)
-    return _flat(target), deviations.flatten(1), _flat(patterns)
+        spread = (self.spectra.n_averages * squares).sqrt()
+        misfit = misfit_of(self.spectra, self.noise, len(self.responses), spread)
+        return misfit.error_equations(self.responses)
 
 
 class ExplainedTrip(Protocol):
@@ -134,8 +118,3 @@ def _non_negative(information: FloatArray, score: FloatArray) -> FloatArray:
     scaled = information / sizes[:, None] / sizes + RIDGE * np.eye(len(sizes))
     factor = np.linalg.cholesky(scaled)
     return np.asarray(nnls(factor.T, np.linalg.solve(factor, score / sizes))[0] / sizes)
-
-
-def _flat(matrices: Tensor) -> Tensor:
-    """Return real and imaginary parts of matrices (..., n, n) one after the other."""
-    return torch.view_as_real(matrices).flatten(-3)

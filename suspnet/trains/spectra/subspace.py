@@ -94,6 +94,11 @@ class SubspaceMisfit:
             )
 
     @property
+    def n_of_bin(self) -> int:
+        """Number of residuals of a bin."""
+        return 2 * self.spectra.values.shape[-1] * self.n_inputs
+
+    @property
     def expected(self) -> float:
         """Mean square of a residual where the model is right."""
         m = self.spectra.values.shape[-1]
@@ -129,6 +134,20 @@ class SubspaceMisfit:
         power = (rows @ noise.to(rows) * rows.conj()).real.sum(dim=(-2, -1))
         shares: Tensor = 1 - power / rows.shape[1]
         return shares
+
+    def error_equations(self, responses: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return what errors must explain, its standard deviation by noise, and their patterns.
+
+        They are those of `trains.spectra.model_errors` with n eps_i^2 = spread_i^2, real and
+        imaginary parts one after the other: (n_freq, k), (n_freq, k), (n_freq, m, k).
+        """
+        p, own = self.n_inputs, self.noise
+        residuals, rows = self.free(responses)
+        noise = rows @ (torch.diag(own).to(rows) if own.ndim == 1 else own) @ rows.mH
+        target = residuals @ residuals.mH / 2 - p * noise
+        sizes = p * self.spectra.n_averages * self.spectra.densities
+        patterns = torch.einsum("fai,fbi,fi->fiab", rows, rows.conj(), sizes.to(rows))
+        return equations_of(target, noise, patterns, p)
 
     def free(self, responses: Tensor) -> tuple[Tensor, Tensor]:
         """Return residuals (n_freq, m - p, p) in directions that responses (p, m, n_freq) leave.
@@ -175,3 +194,19 @@ class SubspaceMisfit:
 
 def _flat(values: Tensor) -> Tensor:
     return torch.view_as_real(values).flatten(1)
+
+
+def equations_of(
+    target: Tensor, noise: Tensor, patterns: Tensor, p: int = 1
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return complex matrices as real rows, and by how much noise scatters each.
+
+    `target`, and `noise` of one of p inputs, are (n_freq, n, n), `patterns` (n_freq, m, n, n).
+    """
+    power = noise.diagonal(dim1=-2, dim2=-1).real
+    # a diagonal element is real and scatters as much as both parts of another one
+    parts = (1 + torch.eye(power.shape[1], dtype=power.dtype)) / 2
+    scatter = (p * parts * power[:, :, None] * power[:, None, :]).sqrt()
+    deviations = torch.stack([scatter, scatter], dim=-1)
+    rows = [torch.view_as_real(matrices).flatten(-3) for matrices in (target, patterns)]
+    return rows[0], deviations.flatten(1), rows[1]
