@@ -8,6 +8,7 @@ import pytest
 from scipy.stats import norm
 from vehicles import AM96
 
+from suspnet import SpatialVehicle
 from suspnet.depot.live.results import Results
 from suspnet.depot.live.suspension import SectionEstimate
 from suspnet.estimation.bogie_model import BogieModel
@@ -27,7 +28,7 @@ from suspnet.trains.trips.joint_verdicts import with_joint_verdicts
 LEVEL = 0.9
 NOISE = np.diag([0.004**2 if name[0] == "k" else 0.015**2 for name in BOGIE_PARTS])
 SCATTER = HealthyScatter((0.0,) * 4, (0.0,) * 4, 6, tuple(map(tuple, NOISE)))
-BOGIE = CommissionedBogie(None, None, np.ones(6), 1.0, True, scatter=SCATTER)
+BOGIE = CommissionedBogie(SpatialVehicle(AM96), None, np.ones(6), 1.0, True, scatter=SCATTER)
 PART = "c_p_axle2_left"
 
 
