@@ -238,7 +238,7 @@ class Plan:
 def _names(trains: Sequence[Train]) -> str:
     names = ", ".join(train.name for train in trains[:MOST_NAMED])
     n_more = len(trains) - MOST_NAMED
-    return Finding("and-more", names=names, n=n_more) if n_more > 0 else names
+    return Finding("names-and-more", names=names, n=n_more) if n_more > 0 else names
 
 
 def joined(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
