@@ -32,7 +32,6 @@ HEALTHY = {"k_p": 1.3e6, "c_p": 3.7e3, "k_s": 0.69e6, "c_s": 22.6e3, "M_s": 6300
 QUALITY = Quality(
     *(0.93, 0.74, 95.4, 110, 120, 1200.0, 98.2, 69.8),
     speed_bins="69.8 m/s: 95 averages",
-    features_found="24 of 24",
     faults="axle_box: gap of 2 samples (0.001 s), first at 12.340 s, repaired",
 )
 TRIP = TripResult("", "", "am96", status="ok", healthy_si=HEALTHY, quality=QUALITY, seconds=2.0)

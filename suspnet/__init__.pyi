@@ -1,4 +1,4 @@
-"""The public names for type checkers; their table is in `__init__.py`."""
+"""The public names, from which `__init__.py` imports each when it is first used."""
 
 from suspnet._version import __version__ as __version__
 from suspnet.bounds.information import cramer_rao as cramer_rao

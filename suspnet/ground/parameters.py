@@ -189,7 +189,7 @@ def read_limits(
 ) -> dict[str, Limits]:
     """Return the limits of each parameter of a configuration, and of each part.
 
-    `given` maps a parameter to its `notice`, `act` and `why`, or to null for no limits. `default`
+    `wanted` maps a parameter to its `notice`, `act` and `why`, or to null for no limits. `default`
     applies to missing parameters and to missing or null entries; `why` is the default reason. Those
     of a parameter such as k_p are those of each of its parts that has none of its own. The
     car-body mass varies with the payload and has no limits.

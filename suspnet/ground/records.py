@@ -121,7 +121,6 @@ class Quality:
     speed_m_per_s: float = np.nan
     speed_bins: str = ""
     direction: str = ""
-    features_found: str = ""
     faults: str = ""
     read_as: str = ""
     warnings: str = ""

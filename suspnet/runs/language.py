@@ -54,13 +54,8 @@ def speaking(language: str) -> Iterator[None]:
 @functools.cache
 def catalogue(language: str) -> catalogues.NullTranslations:
     """Return the catalogue of a language; English has none."""
-    if language == ENGLISH:
-        return catalogues.NullTranslations()
-    file = resources.files("suspnet.trains.pages").joinpath(
-        "locale", language, "LC_MESSAGES", f"{DOMAIN}.mo"
-    )
-    with file.open("rb") as stream:
-        return catalogues.GNUTranslations(stream)
+    folder = str(resources.files("suspnet.trains.pages") / "locale")
+    return catalogues.translation(DOMAIN, folder, [language], fallback=language == ENGLISH)
 
 
 def gettext(text: str) -> str:

@@ -230,6 +230,19 @@ def test_stores_of_other_versions_and_other_applications_are_refused(tmp_path, s
         History(path)
 
 
+def test_a_store_with_a_column_of_earlier_versions_is_read_and_written(tmp_path):
+    path, (first, second) = tmp_path / "history.db", fleet(2, with_curves=False)
+    with History(path) as store:
+        store.write([first])
+    with sqlite3.connect(path) as connection:
+        connection.execute("ALTER TABLE trips ADD COLUMN features_found VARCHAR")
+        connection.execute("UPDATE trips SET features_found = '16 of 16'")
+    connection.close()
+    with History(path) as store:
+        store.write([second])
+        assert all(map(same, store.read(VEHICLE, PLACE), [first, second]))
+
+
 def test_new_tables_next_to_those_of_others_on_a_server_are_reported(tmp_path, caplog):
     place = empty_store("postgresql", tmp_path)
     url = place.replace("postgresql:", "postgresql+psycopg:", 1)

@@ -11,13 +11,13 @@ import pytest
 from depot_trips import N_TRIPS, place, trips
 from empty_stores import KINDS, empty_store
 
-from suspnet.ground.parameters import Cause, Severity
+from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
 from suspnet.trains.history import History, HistoryError
 from suspnet.trains.maintenance import state as states_module
 from suspnet.trains.maintenance.alarms import Acknowledgement
 from suspnet.trains.maintenance.plan import plan_of
 from suspnet.trains.maintenance.series import Event
-from suspnet.trains.maintenance.state import fleet_state
+from suspnet.trains.maintenance.state import by_urgency, state_of
 from suspnet.trains.pages import board as module
 from suspnet.trains.pages.board import Board, BoardSettings
 from suspnet.trains.pages.overview import address
@@ -87,7 +87,10 @@ def expected(store):
 @cache
 def states_of(series):
     """Return the states of a fleet, once for all stores that hold the same."""
-    return fleet_state(pickle.loads(series), {}, SETTINGS.changes, SETTINGS.seed)
+    return by_urgency(
+        state_of(one, DEFAULT_LIMITS, SETTINGS.changes, SETTINGS.seed)
+        for one in pickle.loads(series)
+    )
 
 
 def failing(*_, **__):

@@ -240,17 +240,17 @@ KM = [0.0, 5.0, 100_000.0, 130_000.0, 150_000.0]
     [
         (STARTS, KM, 500.0),
         (STARTS[::-1], KM[::-1], 500.0),
-        (["NaT"] * 5, KM, 7.0),
-        (STARTS[:1], KM[:1], 7.0),
-        (["2026-08-01", "2026-08-09"], [0.0, 4_000.0], 7.0),  # too short
-        (STARTS[2:], [3e5, 2e5, 1e5], 7.0),  # the mileage falls
-        ([], [], 7.0),
-        (["2026-05-01", "2026-07-01"], [1.0, np.nan], 7.0),
+        (["NaT"] * 5, KM, np.nan),
+        (STARTS[:1], KM[:1], np.nan),
+        (["2026-08-01", "2026-08-09"], [0.0, 4_000.0], np.nan),  # too short
+        (STARTS[2:], [3e5, 2e5, 1e5], np.nan),  # the mileage falls
+        ([], [], np.nan),
+        (["2026-05-01", "2026-07-01"], [1.0, np.nan], np.nan),
     ],
 )
 def test_pace_is_that_of_the_newest_trips(starts, km, expected):
     starts = np.array(starts, dtype="datetime64[s]")
-    assert km_per_day(starts, np.array(km, dtype=float), 7.0) == expected
+    np.testing.assert_equal(km_per_day(starts, np.array(km, dtype=float)), expected)
 
 
 # failure

@@ -15,7 +15,7 @@ from suspnet.trains.maintenance.alarms import Acknowledgement
 from suspnet.trains.maintenance.change import ChangeSettings
 from suspnet.trains.maintenance.plan import PlanSettings, place_of, plan_of, trains_of
 from suspnet.trains.maintenance.series import Event
-from suspnet.trains.maintenance.state import fleet_state
+from suspnet.trains.maintenance.state import by_urgency, state_of
 from suspnet.trains.pages.board import BoardSettings
 from suspnet.trains.pages.overview import overview_row, overview_table
 
@@ -41,7 +41,9 @@ def store(tmp_path_factory):
 @pytest.fixture(scope="module")
 def states(store):
     with History(store) as history:
-        return fleet_state(history.series(), {}, ChangeSettings())
+        return by_urgency(
+            state_of(one, DEFAULT_LIMITS, ChangeSettings()) for one in history.series()
+        )
 
 
 def test_worst_suspension_comes_first(states):
@@ -121,8 +123,8 @@ def test_maintenance_clears_the_state(store, tmp_path):
     copy.write_bytes(store.read_bytes())
     with History(copy) as history:
         history.add_event("am96", place("right"), Event(76_500.0, "exchanged", "air spring"))
-        series = [one for one in history.series() if one.place == place("right")]
-    (state,) = fleet_state(series, {}, ChangeSettings())
+        (series,) = (one for one in history.series() if one.place == place("right"))
+    state = state_of(series, DEFAULT_LIMITS, ChangeSettings())
     # what was mounted is judged by itself: 150 % of what was healthy before
     assert state.series.recent.sum() == 2
     assert state.severity == Severity.ACT

@@ -151,7 +151,6 @@ def test_quality_says_what_the_estimate_is_made_of(good):
     assert quality.usable_percent == 100
     assert quality.speed_m_per_s == pytest.approx(70)
     assert quality.speed_bins == "70.0 m/s: 27 averages"
-    assert quality.features_found == "16 of 16"
     assert quality.faults == quality.warnings == ""
     np.testing.assert_allclose(
         [quality.coherence_p, quality.coherence_s], good.curves.coherences.mean(axis=1)

@@ -183,8 +183,8 @@ def read_suspensions(
         own_models = models_of(models, group.place)
         settings.limits_of(own_models)
         if (vehicle := own_models[0].vehicle.name) != manifest.vehicle:
-            names = {"vehicle": repr(manifest.vehicle), "vehicle2": repr(vehicle)}
-            raise TripError.at(manifest.path, "stream-of-other-vehicle", **names)
+            names = {"vehicle": repr(manifest.vehicle), "name": repr(vehicle)}
+            raise TripError.at(manifest.path, "model-of-other-vehicle", **names)
         # a train runs both ways: the direction of that trip is not that of the next
         manifest = replace(manifest, direction=None)
         suspensions.append(LiveSuspension(manifest, own_models, settings.trips, live))

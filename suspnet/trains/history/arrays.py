@@ -182,7 +182,7 @@ def _block(rows: Sequence[Any]) -> Block:
         most = HIGHEST_KM if name == "mileage_km" else np.inf
         wrong = column[(column < least) | (column >= most) | (column == -np.inf)]
         if len(wrong):
-            raise ValueError(Finding("curves-must-not", name=name, wrong=wrong[0]))
+            raise ValueError(Finding("bad-value", name=name, value=f"{wrong[0]:g}"))
     if not all(isinstance(text, str) for several in texts.values() for text in several):
         raise TypeError("name, start, sensors and worn parts must be text")
     return {

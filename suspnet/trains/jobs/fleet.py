@@ -23,11 +23,11 @@ from suspnet.ground.workers import ITEMS_A_WORKER, USUAL_WORKERS, LostWorkerErro
 from suspnet.runs.language import N_
 from suspnet.trains.history import History
 from suspnet.trains.history.schema import trip_key
-from suspnet.trains.maintenance.alarms import Acknowledgement, detector_words, watch
+from suspnet.trains.maintenance.alarms import Acknowledgement, detector_words
 from suspnet.trains.maintenance.assessment import spoken
 from suspnet.trains.maintenance.change import ChangeSettings
 from suspnet.trains.maintenance.series import Event, series_of, with_widened
-from suspnet.trains.maintenance.state import State, with_lives
+from suspnet.trains.maintenance.state import state_of
 from suspnet.trains.pages.details import report_details
 from suspnet.trains.pages.output import (
     sensor_lines,
@@ -224,20 +224,20 @@ def _report(
     outputs, level = outputs_of(results), settings.trips.level
     # tables come first: what follows may fail on odd numbers
     write_tables(results, outputs, output)
-    watched = watch(series, suspension.limits, settings.changes)
-    state = with_lives(State(series, suspension.limits, watched), seed)
+    state = state_of(series, suspension.limits, settings.changes, seed)
+    alarms = state.watched.alarms
     seen: list[Acknowledgement] = []
     if store is not None and any(r.status != ERROR for r in results):
-        store.keep_alarms(suspension.vehicle, group.place, watched.alarms)
+        store.keep_alarms(suspension.vehicle, group.place, alarms)
         seen = store.acknowledgements(suspension.vehicle, group.place)
-    armed = detector_words(watched.changes, settings.changes)
+    armed = detector_words(state.watched.changes, settings.changes)
     details = report_details(group.folder, models, results, suspension.limits, level)
     details[N_("alarms of changes")] = armed
     if store is not None:
         details[N_("history")] = printable(str(store))
     report = Report(results, outputs, state, details, level, used, seen)
     write_pages(report, output, draw=figures)
-    lines = [spoken(state.assessments), *sensor_lines(results, watched.alarms)]
+    lines = [spoken(state.assessments), *sensor_lines(results, alarms)]
     words = "\n".join([*lines, f"Alarms of changes: {armed}."])
     page = output / "report.html"
     log.info("%s\n%s: %s\n-> %s", summary(results, outputs), group.place, words, page)

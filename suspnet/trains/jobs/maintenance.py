@@ -6,7 +6,7 @@ from pathlib import Path
 from suspnet.trains.history import History
 from suspnet.trains.history.database import check_exists
 from suspnet.trains.maintenance.plan import plan_of
-from suspnet.trains.maintenance.state import State, fleet_state
+from suspnet.trains.maintenance.state import State, by_urgency, state_of
 from suspnet.trains.pages.board import BoardSettings
 from suspnet.trains.pages.maintenance_figures import plan_calendar
 from suspnet.trains.pages.output import write_fleet
@@ -32,8 +32,10 @@ def write_maintenance(history: History, folder: Path, settings: BoardSettings) -
     fleet = history.series()
     if not fleet:
         raise ValueError(f"{history}: no trip is stored here yet")
-    own = {series.vehicle: settings.limits_of(series.vehicle) for series in fleet}
-    states = fleet_state(fleet, own, settings.changes, settings.seed)
+    states = by_urgency(
+        state_of(own, settings.limits_of(own.vehicle), settings.changes, settings.seed)
+        for own in fleet
+    )
     history.keep_all_alarms({state.key: state.watched.alarms for state in states})
     acknowledged = history.all_acknowledgements()
     planned = plan_of(states, settings.plan, settings.day())

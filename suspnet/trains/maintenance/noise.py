@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from suspnet.ground.types import FloatArray, IntArray
 
@@ -168,8 +169,7 @@ def robust_spread(differences: FloatArray, variance: float) -> float:
 def clip_outliers(values: FloatArray) -> FloatArray:
     """Return values with outliers clipped to ``OUTLYING`` deviations from the median of five."""
     logs = np.log(values)
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(logs, 2, mode="reflect"), 5)
-    middle = np.median(windows, axis=1)
+    middle = median_filter(logs, 5, mode="mirror")
     off = logs - middle
     scale = max(np.median(np.abs(off)), np.median(np.abs(np.diff(logs))), LEAST_NOISE)
     most = OUTLYING * scale / QUARTILE

@@ -238,7 +238,7 @@ class Plan:
 def _names(trains: Sequence[Train]) -> str:
     names = ", ".join(train.name for train in trains[:MOST_NAMED])
     n_more = len(trains) - MOST_NAMED
-    return Finding("and-more", names=names, n=n_more) if n_more > 0 else names
+    return Finding("names-and-more", names=names, n=n_more) if n_more > 0 else names
 
 
 def joined(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -404,7 +404,7 @@ def trains_of(states: Sequence[State], today: date, default_km_per_day: float) -
             continue
         km, starts = km[order], starts[order]
         day = today if np.isnat(starts[-1]) else starts[-1].item().date()
-        pace = km_per_day(starts, km, np.nan)
+        pace = km_per_day(starts, km)
         is_assumed = bool(np.isnan(pace))
         pace = default_km_per_day if is_assumed else pace
         trains.append(Train(name, float(km[-1]), min(day, today), pace, is_assumed))
@@ -424,17 +424,17 @@ def place_of(state: State) -> tuple[str, str, str]:
     return train, place.car, ", ".join(filter(None, where)) or vehicle
 
 
-def km_per_day(starts: NDArray[np.datetime64], mileages_km: FloatArray, default: float) -> float:
+def km_per_day(starts: NDArray[np.datetime64], mileages_km: FloatArray) -> float:
     """Return the mileage of a train per day, from starts and mileages of its newest trips.
 
-    `starts` (NaT: unknown) and `mileages_km` (NaN: unknown): (n_trips,). `default` is returned if
+    `starts` (NaT: unknown) and `mileages_km` (NaN: unknown): (n_trips,). NaN is returned if
     these trips span less than ``LEAST_DAYS`` or their mileage does not rise.
     """
     is_known = ~np.isnat(starts) & np.isfinite(mileages_km)
     days, mileages = starts[is_known].astype("datetime64[D]").astype(float), mileages_km[is_known]
     if not days.size:
-        return default
+        return math.nan
     new = days >= days.max() - WINDOW_DAYS
     span = np.ptp(days[new])
     run = mileages[new][days[new].argmax()] - mileages[new][days[new].argmin()]
-    return float(run / span) if span >= LEAST_DAYS and run > 0 else default
+    return float(run / span) if span >= LEAST_DAYS and run > 0 else math.nan

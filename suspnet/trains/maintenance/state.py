@@ -1,7 +1,7 @@
 """State of a suspension, of which all outputs are made: alarms, assessments, remaining lives."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspnet.ground.findings import Finding, parts_of, restored
-from suspnet.ground.parameters import BODY_MASS, DEFAULT_LIMITS, Limits, Severity, kind_of
+from suspnet.ground.parameters import BODY_MASS, Limits, Severity, kind_of
 from suspnet.ground.records import Key, Place
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.trains.maintenance.alarms import Alarm, Watched, watch
@@ -293,25 +293,7 @@ def trips_of_life(recent: Series, name: str) -> tuple[FloatArray, FloatArray, Fl
 
 
 def state_of(
-    series: Series,
-    limits: Mapping[str, Mapping[str, Limits]],
-    changes: ChangeSettings,
-    seed: int = 0,
+    series: Series, limits: Mapping[str, Limits], changes: ChangeSettings, seed: int = 0
 ) -> State:
-    """Return alarms and remaining lives of a suspension, by its own trips.
-
-    `limits` maps vehicles to the limits of their parameters; a missing vehicle has
-    ``DEFAULT_LIMITS``. `seed` is that of the predicted lives.
-    """
-    own = limits.get(series.vehicle, DEFAULT_LIMITS)
-    return with_lives(State(series, own, watch(series, own, changes)), seed)
-
-
-def fleet_state(
-    several: Sequence[Series],
-    limits: Mapping[str, Mapping[str, Limits]],
-    changes: ChangeSettings,
-    seed: int = 0,
-) -> list[State]:
-    """Return ``state_of`` each suspension, most severe first."""
-    return by_urgency(state_of(series, limits, changes, seed) for series in several)
+    """Return alarms and remaining lives of a suspension; `seed` is that of the lives."""
+    return with_lives(State(series, limits, watch(series, limits, changes)), seed)

@@ -68,7 +68,6 @@ class Board:
     def __init__(self, store: str, settings: BoardSettings) -> None:
         self.store = store
         self.settings = settings
-        self._limits: dict[str, Mapping[str, Limits]] = {}
         self._states: dict[Key, State] = {}
         self._view = FleetView()
         self._revisions: dict[Key, int] = {}
@@ -157,13 +156,12 @@ class Board:
                 self._is_due = True
 
     def _state_of(self, history: History, series: Series) -> State:
-        vehicle, settings = series.vehicle, self.settings
-        if vehicle not in self._limits:
-            try:
-                self._limits[vehicle] = settings.limits_of(vehicle)
-            except ValueError as error:  # of a vehicle that is not in the settings
-                raise HistoryError(f"{history}: vehicle {vehicle}: {error}") from None
-        return state_of(series, self._limits, settings.changes, settings.seed)
+        settings = self.settings
+        try:
+            limits = settings.limits_of(series.vehicle)
+        except ValueError as error:  # of a vehicle that is not in the settings
+            raise HistoryError(f"{history}: vehicle {series.vehicle}: {error}") from None
+        return state_of(series, limits, settings.changes, settings.seed)
 
     def _forget(self, keys: Collection[Key]) -> None:
         self._is_due |= bool(keys)

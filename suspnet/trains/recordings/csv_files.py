@@ -54,7 +54,7 @@ def open_parquet(path: Path) -> Iterator[OpenFile]:
             for name in names:
                 kind = fields[name].type
                 if not any(is_it(kind) for is_it in READ_TYPES):
-                    raise TripError.at(path, "csv-column-not-numbers", name=repr(name), value=kind)
+                    raise TripError.at(path, "column-not-numbers", name=repr(name), value=kind)
             check_samples(path, file.metadata.num_rows)
             for batch in file.iter_batches(PARQUET_ROWS, columns=list(names), use_threads=False):
                 yield tuple(_from_arrow(batch.column(name)) for name in names)

@@ -52,7 +52,7 @@ def opening(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise TripError.at(path, "cannot-read", strerror=error.strerror) from error
+        raise TripError.at(path, "unreadable-as", reason=error.strerror) from error
     except NotPlainError as error:
         raise TripError(str(error)) from error
 

@@ -138,7 +138,7 @@ def _take(path: Path, file: Any, name: str, group: int, index: int) -> Take:
         records = {"record_offset": rows.start, "record_count": rows.stop - rows.start}
         values, invalid = file.get(group=group, index=index, **how, **records)
         if values.dtype.kind not in "iufb" or values.ndim != 1:
-            raise TripError.at(path, "column-not-numbers", name=repr(name), dtype=values.dtype)
+            raise TripError.at(path, "column-not-numbers", name=repr(name), value=values.dtype)
         if channel.channel_type in VIRTUAL:
             values = np.arange(rows.start, rows.stop, dtype=np.float64)
         values = np.array(values, dtype=np.float64)

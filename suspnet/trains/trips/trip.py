@@ -15,7 +15,7 @@ from torch import Tensor
 from suspnet.curves.speeds import NoEstimateError
 from suspnet.curves.welch import Welch
 from suspnet.estimation.estimate import Estimate
-from suspnet.estimation.fitted import FittedMethod, Model
+from suspnet.estimation.fitted import Model
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.findings import WITHOUT_SENSORS, Finding, together, with_values, without
@@ -154,7 +154,7 @@ def outcome_of(
         refused = {"status": ERROR, "reason": str(error)}
         return refused | {"start": start, "quality": Quality(**quality)}
     if shown.bins:
-        quality |= _of_bins(shown.bins, models[0], recording)
+        quality |= _of_bins(shown.bins, recording)
     estimate, misfit, lost = shown.estimate, np.nan, ""
     if isinstance(estimate, NoEstimateError):
         outcome = {"status": NO_ESTIMATE, "reason": str(estimate)}
@@ -193,7 +193,7 @@ def _welch(model: Model) -> Welch:
     return trip_settings(model).welch
 
 
-def _of_bins(bins: Sequence[SeenBin], model: Model, recording: Recording) -> dict[str, Any]:
+def _of_bins(bins: Sequence[SeenBin], recording: Recording) -> dict[str, Any]:
     """Return what bins of speed add to the quality: averages over them, by their averages.
 
     Bins may overlap: a segment that two models read counts once.
@@ -205,10 +205,6 @@ def _of_bins(bins: Sequence[SeenBin], model: Model, recording: Recording) -> dic
         for weight, speed_bin in zip(weights, bins, strict=True)
     )
     used = _used(bins)
-    features = ""
-    if isinstance(model, FittedMethod):
-        n_features = len(model.task.extractor.names)
-        features = f"{n_features} of {n_features}"
     return {
         "coherence_p": float(coherence[0]),
         "coherence_s": float(coherence[1]),
@@ -222,7 +218,6 @@ def _of_bins(bins: Sequence[SeenBin], model: Model, recording: Recording) -> dic
             for speed_bin in bins
         ),
         "direction": largest(bins).direction or recording.manifest.direction or "",
-        "features_found": features,
     }
 
 
