@@ -20,7 +20,7 @@ from suspnet.cli.folders import ACT
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = Path(__file__).parent / "results"
-PART, SHORT = "c_p_axle2_left", "c_p"
+PART = "c_p_axle2_left"
 SIDES = ("left", "right")
 TRAIN = ("data.n_train=2000", "data.n_test=100", "data.n_calibrate=400", "figures=false")
 
@@ -69,8 +69,7 @@ def main() -> None:
         writer.writerow(["trip", "truth", "reading", "estimate", "low", "high"])
         for trip, row in every["parts"].items():
             for name, rows in every.items():
-                column = PART if name == "parts" else SHORT
-                found = [rows[trip][f"{column}{end}"] for end in ("", "_low", "_high")]
+                found = [rows[trip][f"{PART}{end}"] for end in ("", "_low", "_high")]
                 writer.writerow([trip, row[f"{PART}_truth"], name, *found])
 
 

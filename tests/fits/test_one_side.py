@@ -8,7 +8,12 @@ import torch
 from test_bogie_fit import MASSES, VEHICLE, drawn, row
 
 from suspnet import COMPONENTS, commission_bogie, fit_parts
-from suspnet.trains.fits.bogie_fit import SENSITIVITY_OF_FEW, healthy_misfit, wear_errors
+from suspnet.trains.fits.bogie_fit import (
+    MISFIT_OF_FEW,
+    SENSITIVITY_OF_FEW,
+    healthy_misfit,
+    wear_errors,
+)
 from suspnet.trains.fits.bogie_misfit import UNEVEN
 from suspnet.trains.spectra.bogie_trip import BogieTrip
 
@@ -78,7 +83,11 @@ def test_derivatives_are_those_of_finite_differences():
 
 def test_wear_counts_more_than_with_many_sensors(commissioned):
     incomplete, logs = replace(commissioned, misfit=2.0), np.append(np.log([0.5] + [1] * 11), 0)
-    found = np.sqrt(np.diag(wear_errors(incomplete, logs)))
-    assert found[0] == pytest.approx(np.sqrt(0.75) * SENSITIVITY_OF_FEW["k_p"] * np.log(2))
-    assert found[-1] == pytest.approx(np.sqrt(0.75) * 0.15)
-    assert wear_errors(incomplete, logs, 6)[0, 0] < found[0] ** 2 / 100
+    variances, own = wear_errors(incomplete, logs)
+    size = 0.75 * (SENSITIVITY_OF_FEW["k_p"] * np.log(2)) ** 2
+    assert variances[0] == own[0] == pytest.approx(size)  # no other part has worn
+    assert variances[2] == pytest.approx(size / 4)
+    assert own[1:].max() == 0.0
+    assert wear_errors(incomplete, logs, 6)[0][0] < size / 100
+    explained = wear_errors(replace(commissioned, misfit=1.0), logs)[0]
+    assert explained[0] == pytest.approx(size * (1 - 1 / MISFIT_OF_FEW**2) / 0.75)

@@ -43,7 +43,7 @@ def joint_estimate(
     deviations = half_widths / norm.ppf((1 + level) / 2) / tau
     totals = []
     for of_trip, deviation in zip(logs, deviations, strict=True):
-        variance = deviation**2 - np.diag(scatter + _wear_errors(bogie, of_trip))
+        variance = deviation**2 - np.diag(scatter) - _wear_errors(bogie, of_trip)[0]
         own = np.sqrt(np.maximum(variance, (LEAST_NOISE * deviation) ** 2))
         totals.append(own[:, None] * correlation * own + scatter)
     weights = np.linalg.inv(totals)
@@ -51,10 +51,13 @@ def joint_estimate(
     joint = whole @ np.einsum("tij,tj->i", weights, logs)
     shared = 1 / (found.n_trips + 1)
     covariance = (1 - shared) * whole + shared * np.mean(totals, axis=0)
-    covariance = tau**2 * (covariance + _wear_errors(bogie, joint))
-    return PartsEstimate(np.exp(joint), covariance, 1.0, True, level, BOGIE_PARTS)
+    by_wear, by_own_wear = _wear_errors(bogie, joint)
+    covariance = tau**2 * (covariance + np.diag(by_wear))
+    own = tau**2 * by_own_wear
+    return PartsEstimate(np.exp(joint), covariance, 1.0, True, level, BOGIE_PARTS, by_own_wear=own)
 
 
-def _wear_errors(bogie: CommissionedBogie, logs: FloatArray) -> FloatArray:
-    """Return D of the parts alone, (12, 12)."""
-    return wear_errors(bogie, np.append(logs, 0.0))[:-1, :-1]
+def _wear_errors(bogie: CommissionedBogie, logs: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return D of the parts alone, (12,), and what of it is due to their own wear."""
+    of_parts, own = wear_errors(bogie, np.append(logs, 0.0))
+    return of_parts[:-1], own[:-1]

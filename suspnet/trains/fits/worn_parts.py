@@ -1,8 +1,9 @@
 """Which of a bogie's twelve parts have worn: a verdict with odds, as wear is sparse.
 
-An estimate gives the logarithms e of the twelve ratios with the covariance C. Parts that have not
-worn scatter by ``USUAL``, those of one kind (the four k_p) by ``SHARED`` alike, as temperature and
-load act on all of them; worn ones scatter by ``WEAR`` as well. For a set W of worn parts::
+An estimate gives the logarithms e of the twelve ratios with the covariance C, without what a part
+has by its own wear alone. Parts that have not worn scatter by ``USUAL``, those of one kind (the
+four k_p) by ``SHARED`` alike, as temperature and load act on all of them; worn ones scatter by
+``WEAR`` as well. For a set W of worn parts::
 
     log P(e | W) = -1/2 (e^T V^-1 e + log det V),
     V = C + USUAL^2 + SHARED^2 within a kind + WEAR^2 on the diagonal of W
@@ -29,7 +30,12 @@ from suspnet.ground.findings import WORN, WORN_ONE_OF, Finding, together
 from suspnet.ground.parameters import BOGIE_PARTS, kind_of, part_words
 from suspnet.ground.tensors import threads
 from suspnet.ground.types import FloatArray
-from suspnet.trains.fits.bogie_fit import PartsEstimate, beyond_noise, healthy_misfit
+from suspnet.trains.fits.bogie_fit import (
+    PartsEstimate,
+    beyond_noise,
+    healthy_misfit,
+    wear_errors,
+)
 from suspnet.trains.fits.bogie_misfit import WEAR
 from suspnet.trains.fits.healthy_scatter import expected_noise
 from suspnet.trains.spectra.bogie_trip import BogieTrip
@@ -93,7 +99,9 @@ def worn_parts(estimate: PartsEstimate) -> list[WornPart]:
     Differences of the log posteriors of two sets of worn parts are their log odds.
     """
     logs = np.log(estimate.values[: len(BOGIE_PARTS)])
-    covariance = estimate.covariance[: len(BOGIE_PARTS), : len(BOGIE_PARTS)] + _usual()
+    by_own_wear = np.broadcast_to(estimate.by_own_wear, len(estimate.values))
+    unworn = estimate.covariance - np.diag(by_own_wear)
+    covariance = unworn[: len(BOGIE_PARTS), : len(BOGIE_PARTS)] + _usual()
 
     def log_posterior(worn: Sequence[int]) -> float:
         evidence = float(_log_probability(logs, covariance, worn))
@@ -136,7 +144,12 @@ def least_losses(bogie: CommissionedBogie, level: float = 0.9) -> dict[str, floa
     """
     scatter = scatter_of_parts(bogie)
     noise, wider = np.pad(np.array(scatter.noise), (0, 1)), scatter.student(level) ** 2
-    return _least_losses(lambda logs: wider * (noise + beyond_noise(bogie, logs)), level)
+
+    def unworn(logs: FloatArray) -> FloatArray:
+        by_own_wear = np.diag(wear_errors(bogie, logs)[1])
+        return np.asarray(wider * (noise + beyond_noise(bogie, logs) - by_own_wear))
+
+    return _least_losses(unworn, level)
 
 
 @threads(1)  # systems of 30 equations are too small for two
