@@ -261,7 +261,7 @@ LAYOUT_CASES = tuple(f"all at once, {name}" for name in named_parts.LAYOUTS)
 """Those with other layouts of sensors."""
 
 
-def two_suspensions(rows: Sequence[Row]) -> str:
+def one_side(rows: Sequence[Row]) -> str:
     """Return what each reading of worn trips says of the damper that fades, in % of healthy."""
     lines: dict[str, list[str]] = {}
     for row in rows:
@@ -270,12 +270,7 @@ def two_suspensions(rows: Sequence[Row]) -> str:
             low, high = (f"{100 * row[end]:.3g}" for end in ("low", "high"))
             value = f"{100 * row['estimate']:.3g} ({low} to {high})"
             line.append("no estimate" if np.isnan(row["estimate"]) else value)
-    heads = [
-        "c_p of axle 2, left",
-        "six sensors, part by part",
-        "c_p, left alone",
-        "c_p, right alone",
-    ]
+    heads = ["c_p of axle 2, left", "six sensors", "three on the left", "three on the right"]
     return markdown(list(lines.values()), heads)
 
 
@@ -315,7 +310,7 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     ),
     "rough_train": ("rough_train.csv", rough_train.table),
     "training_time": ("training_time.csv", training_time),
-    "two_suspensions": ("two_suspensions.csv", two_suspensions),
+    "one_side": ("one_side.csv", one_side),
     "methods": ("methods.csv", methods_table.table),
     "layouts": (
         "layouts.csv",

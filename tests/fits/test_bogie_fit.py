@@ -16,7 +16,7 @@ from suspnet.curves.welch import Welch
 from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScatter
 from suspnet.estimation.suspension_law import SuspensionLaw
 from suspnet.ground.parameters import COMPONENTS, FORWARD, REVERSE
-from suspnet.trains.fits import bogie_fit, bogie_misfit, bogie_search
+from suspnet.trains.fits import bogie_fit, bogie_search, posterior
 from suspnet.trains.fits import healthy_scatter as bogie_scatter
 from suspnet.trains.fits.bogie_fit import (
     EXPLAINED,
@@ -37,6 +37,12 @@ from suspnet.trains.fits.bogie_search import (
     tolerances,
 )
 from suspnet.trains.fits.healthy_scatter import read_as_later
+from suspnet.trains.fits.posterior import (
+    bent,
+    posterior_covariance,
+    step_left,
+    with_chance_at,
+)
 from suspnet.trains.fits.worn_parts import expected_losses, least_losses, worn_parts
 from suspnet.trains.identification.bogie_trips import PARTS_OF_BOGIE
 from suspnet.trains.spectra.bogie_trip import BogieTrip
@@ -345,14 +351,14 @@ def test_a_search_that_creeps_is_continued_and_ends_where_the_parts_have_no_way_
     trips = [trip(drawn(VEHICLE, row({}, m), i), 70.0) for i, m in enumerate(MASSES)]
     fit = BogieMisfit(VEHICLE, [NOISE] * 3, trips, are_healthy=True)
     end = SearchEnd(fit, fit.start(), False).finished(math.inf)
-    assert fit.step_left(end.x) < 0.1
+    assert step_left(fit, end.x) < 0.1
     monkeypatch.setattr(bogie_search, "STEPS", 3)  # not enough at once
     assert not search(fit, fit.start(), 0.0, fit.all_bins, tolerances(fit)[1])[1]
     far = SearchEnd(fit, fit.start(), False)
     assert not far.finished(0.0).converged  # nor continued where the trips are not explained
     continued = far.finished(math.inf)
     assert continued.converged
-    assert fit.step_left(continued.x) < bogie_search.SETTLED
+    assert step_left(fit, continued.x) < bogie_search.SETTLED
     # without an end, what the parts still have to go decides
     monkeypatch.setattr(bogie_search, "search", lambda *args: (args[1], False))
     moved = end.x.copy()
@@ -599,11 +605,11 @@ def test_scatter_of_dampers_is_learnt_by_expectation_maximisation():
     fit = healthy_misfit(vehicle, trips, 0.1 * CONDITIONS)
     x = fit.start()
     x[fit.n_shared :: fit.n_own] = 0.01, -0.02, 0.03
-    variances = np.diag(fit.covariance(x, 1.0))[fit.n_shared :: fit.n_own]
-    found = fit.with_chance_at(x).chance
+    variances = np.diag(posterior_covariance(fit, x, 1.0))[fit.n_shared :: fit.n_own]
+    found = with_chance_at(fit, x).chance
     assert found[0] == pytest.approx(math.sqrt(np.mean(np.array([1e-4, 4e-4, 9e-4]) + variances)))
     linear = healthy_misfit(VEHICLE, trips, CONDITIONS)
-    assert linear.with_chance_at(linear.start()) is linear
+    assert with_chance_at(linear, linear.start()) is linear
 
 
 def test_speeds_of_dampers_are_those_of_their_ends():
@@ -706,7 +712,7 @@ def test_errors_of_the_vehicle_are_learnt_where_they_are(commissioned):
 @pytest.mark.parametrize(("parts", "i"), [(("load",), 3), (("load", "nonlinear_dampers"), 0)])
 def test_healthy_trips_are_left_out_as_by_a_fit_to_the_others(parts, i, monkeypatch):
     # how much dampers vary by chance is what all trips show, not the others
-    monkeypatch.setattr(BogieMisfit, "with_chance_at", lambda fit, _: fit)
+    monkeypatch.setattr(bogie_search, "with_chance_at", lambda fit, _: fit)
     is_linear, trips = "nonlinear_dampers" not in parts, []
     # the reference of nonlinear dampers is what the healthy trips show
     dampers = [f"healthy_{name}" for name in COMPONENTS if name[0] == "c"]
@@ -768,12 +774,12 @@ def test_scatter_is_what_noise_does_not_explain(monkeypatch):
 
 
 def test_the_bend_of_the_valley_widens_the_posterior_as_the_docstring_says(monkeypatch):
-    monkeypatch.setattr(bogie_misfit, "DRAWS", 3)
+    monkeypatch.setattr(posterior, "DRAWS", 3)
     trips = [trip(drawn(VEHICLE, row({}, m), i), 70.0) for i, m in enumerate(MASSES)]
     end = learnt_end(healthy_misfit(VEHICLE, trips))
     fit, x = end.fit, end.x
-    flat = fit.covariance(x, 1.0)
-    found, residuals, slopes = fit.bent(x, flat), fit.exact, fit.exact.jacobian(x)
+    flat = posterior_covariance(fit, x, 1.0)
+    found, residuals, slopes = bent(fit, x, flat), fit.exact, fit.exact.jacobian(x)
     root, expected = np.linalg.cholesky(flat), flat.copy()
     for draw in np.random.default_rng(0).standard_normal((3, len(x))):
         d = root @ draw
@@ -798,8 +804,8 @@ def test_lasting_errors_widen_the_posterior_as_the_docstring_says():
     middle = sum(w * np.outer(j, j) for w, j in zip(weights, data, strict=True)) / excess
     inverse = np.linalg.inv(data.T @ data / excess + prior.T @ prior)
     expected = inverse @ (middle + prior.T @ prior) @ inverse
-    np.testing.assert_allclose(fit.covariance(x, excess), expected, rtol=1e-6)
-    certain = replace(fit, errors=None).covariance(x, excess)
+    np.testing.assert_allclose(posterior_covariance(fit, x, excess), expected, rtol=1e-6)
+    certain = posterior_covariance(replace(fit, errors=None), x, excess)
     assert (np.diag(expected)[:10] > np.diag(certain)[:10]).all()
 
 

@@ -13,6 +13,7 @@ from suspnet.ground.parameters import COMPONENTS
 from suspnet.trains.fits.bogie_fit import commission_bogie, fit_parts
 from suspnet.trains.fits.bogie_misfit import WEAR, BogieMisfit
 from suspnet.trains.fits.bogie_search import search
+from suspnet.trains.fits.posterior import posterior_covariance
 from suspnet.trains.identification import layouts
 from suspnet.trains.identification.layouts import (
     LAYOUTS,
@@ -157,7 +158,7 @@ def test_bounds_of_a_learnt_vehicle_are_the_posterior_of_its_trips():
     n = fit.n_numbers
     x = np.concatenate([np.zeros(n), np.log(layouts.HEALTHY_MASSES)])
     factor = vehicle.distribution.factor
-    covariance = factor @ fit.covariance(x, 1.0)[:n, :n] @ factor.T
+    covariance = factor @ posterior_covariance(fit, x, 1.0)[:n, :n] @ factor.T
     known = replace(vehicle.distribution, covariance=(covariance + covariance.T) / 2)
     learnt = replace(vehicle, distribution=known)
     bounds = []
@@ -165,7 +166,7 @@ def test_bounds_of_a_learnt_vehicle_are_the_posterior_of_its_trips():
         own = {part: layouts.WORN, "M_s": np.exp(MASS_MEAN)}
         later = BogieMisfit(learnt, [noise], [exact(own)], are_healthy=False)
         logs = [np.log(own.get(name, 1.0)) for name in COMPONENTS]
-        posterior = later.covariance(np.concatenate([np.zeros(n), logs]), 1.0)
+        posterior = posterior_covariance(later, np.concatenate([np.zeros(n), logs]), 1.0)
         bounds.append(100 * np.sqrt(np.diag(posterior)[n:]))
     np.testing.assert_allclose(found.bounds(3)[1], np.max(bounds, axis=0), rtol=1e-3)
 

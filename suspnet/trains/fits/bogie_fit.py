@@ -57,6 +57,7 @@ from suspnet.trains.fits.bogie_search import (
     nearer_start,
 )
 from suspnet.trains.fits.healthy_scatter import healthy_scatter
+from suspnet.trains.fits.posterior import bent, posterior_covariance
 from suspnet.trains.spectra.bogie_trip import BogieTrip, smallest_noise
 from suspnet.vehicle import SpatialVehicle
 from suspnet.vehicle.quantities import BOGIE_MASS_DEVIATION, LEAST_SENSORS, MASS_DEVIATION
@@ -159,7 +160,7 @@ def fit_parts(
     fit, x, misfit = end.fit, end.x, end.misfit
     first = fit.n_shared + fit.n_free
     own = slice(first, first + ties.shape[1])
-    covariance = fit.covariance(x, max(1.0, misfit) ** 2)[own, own]
+    covariance = posterior_covariance(fit, x, max(1.0, misfit) ** 2)[own, own]
     by_own_wear: FloatArray | float = 0.0
     if bogie.scatter is not None:
         wider = bogie.scatter.student(level) ** 2
@@ -271,9 +272,9 @@ def commission_bogie(
     if end.fit.errors is None:
         end = replace(end, fit=end.fit.with_errors_at(end.x))
     fit, x, misfit, n, shared = end.fit, end.x, end.misfit, end.fit.n_numbers, end.fit.n_shared
-    covariance = fit.covariance(x, max(1.0, misfit) ** 2)
+    covariance = posterior_covariance(fit, x, max(1.0, misfit) ** 2)
     if end.bare_misfit <= EXPLAINED:  # errors of the physics widen it more
-        covariance = fit.bent(x, covariance)
+        covariance = bent(fit, x, covariance)
     posterior = fit.numbers.moved(x[:n], covariance[:n, :n])
     carried = x[shared:].reshape(len(trips), -1)[:, fit.n_parts :]
     return CommissionedBogie(

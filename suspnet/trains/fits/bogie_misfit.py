@@ -26,7 +26,7 @@ from suspnet.ground.types import FloatArray
 from suspnet.trains.fits.bogie_residuals import Residuals
 from suspnet.trains.spectra.bogie_trip import BogieTrip, smallest_noise
 from suspnet.trains.spectra.covariance_matching import CovarianceMisfit, matched_noise, misfit_of
-from suspnet.trains.spectra.model_errors import SPACING_HZ, Explained, model_errors
+from suspnet.trains.spectra.model_errors import Explained, model_errors
 from suspnet.trains.spectra.noise_subspace import DamperForces, Leakage, TripNoise, trip_noise
 from suspnet.trains.spectra.subspace import SpectralMatrix
 from suspnet.vehicle import SpatialVehicle
@@ -44,9 +44,6 @@ UNEVEN = 0.3
 """Standard deviation, before a trip, of the cross level that comes with the mean of both rails: it
 is 0 if both are as rough. Where sensors do not outnumber the inputs, c_p would err by 20 % (of axle
 1, right, by sensors on the left) if the left rail had 1.5 times the density of the right one."""
-DRAWS = 60
-"""Draws by which a posterior's bend is measured. In README's demonstration the true vehicle is at
-chi^2 = 4470 of a posterior without it, and at 94 with it, of 91 numbers."""
 FURTHEST = 20.0
 """Largest coordinate of vehicles that are tried: logarithms of ratios, and deviations of priors."""
 SEPARATE = np.eye(len(COMPONENTS))
@@ -317,59 +314,6 @@ class BogieMisfit:
         """Standard deviations of the coordinates before any trip, (n_coordinates,)."""
         return np.concatenate([np.ones(self.n_shared), np.tile(self._own[1], len(self.trips))])
 
-    def covariance(self, x: FloatArray, excess: float) -> FloatArray:
-        """Return the posterior covariance of all coordinates, residuals `excess` times as large.
-
-        `excess` is that of their squares. With J the derivatives of all residuals and P those of
-        the priors, w = 1 where residuals are of noise alone, it is ::
-
-            A^-1 (J^T w J / excess + P^T P) A^-1,     A = J^T J / excess + P^T P
-
-        Errors of the vehicle are the same on all trips and alike in neighbouring bins: where the
-        fraction s of a residual's variance is theirs, w = 1 + s (n - 1), with n the number of trips
-        times that of the bins in ``SPACING_HZ``.
-        """
-        jacobian = self.exact.jacobian(x)
-        n_prior = len(self.prior_deviations)
-        data, prior = jacobian[:-n_prior], jacobian[-n_prior:]
-        inverse = np.linalg.inv(data.T @ data / excess + prior.T @ prior)
-        if self.errors is None or not self.are_healthy:
-            return np.asarray(inverse)
-        n_alike = SPACING_HZ / float(self.frequencies_hz[:2].diff()) * len(self.trips)
-        weights = 1 + self.exact.error_shares(x) * max(0.0, n_alike - 1)
-        middle = (data.T * weights) @ data / excess + prior.T @ prior
-        return np.asarray(inverse @ middle @ inverse)
-
-    def bent(self, x: FloatArray, covariance: FloatArray) -> FloatArray:
-        """Return a posterior covariance with what it neglects: residuals are not linear in x.
-
-        The minimum lies in a valley that bends: where some numbers are off by d, normal with the
-        `covariance`, others have to follow. With r all residuals and J their derivatives ::
-
-            q = (r(x + d) + r(x - d)) / 2 - r(x),    s = -(J^T J)^-1 J^T q
-
-        and the mean of s s^T over ``DRAWS`` of d is added.
-        """
-        residuals, jacobian = self.exact, self.exact.jacobian(x)
-        draws = np.random.default_rng(0).standard_normal((DRAWS, len(x)))
-        offs, at_x = draws @ np.linalg.cholesky(covariance).T, residuals(x)
-        even = [(residuals(x + off) + residuals(x - off)) / 2 - at_x for off in offs]
-        steps = np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ np.transpose(even))
-        return covariance + steps @ steps.T / DRAWS
-
-    def step_left(self, x: FloatArray) -> float:
-        """Return the largest Newton step of a part from x, in deviations of the posterior."""
-        slopes = self.exact.jacobian(x)
-        spread = np.linalg.inv(slopes.T @ slopes)
-        step = -spread @ (slopes.T @ self.exact(x))
-        rows = np.eye(len(x))[self.n_shared :]  # the trips' own numbers
-        if self.are_healthy:
-            names = [name.startswith("healthy_") for name in self.numbers.names]
-            factor = self.numbers.factor[np.flatnonzero(names)]
-            rows = np.pad(factor, ((0, 0), (0, len(x) - self.n_numbers)))
-        deviations = np.sqrt(np.einsum("ij,jk,ik->i", rows, spread, rows))
-        return float(np.abs(rows @ step / deviations).max())
-
     def noise_at(self, x: FloatArray) -> list[TripNoise]:
         """Return the noise of each trip for the vehicle at x."""
         noises = []
@@ -472,20 +416,6 @@ class BogieMisfit:
             speeds = np.log(power[used].sum(dim=0).numpy()) / 2
             ratios.append(speeds - pairs.repeat((len(CORNERS), len(SIDES))))
         return np.append(np.repeat(ratios[0] - ratios[1], 2), 0.0)  # of spring and damper
-
-    def with_chance_at(self, x: FloatArray) -> BogieMisfit:
-        """Return the fit with the scatter of the dampers that healthy trips show at x.
-
-        With u_i what the dampers of a kind differ by on trip i, and V_i its variance, the square of
-        the standard deviation is the mean of u_i^2 + V_i: a step of expectation maximisation.
-        """
-        if not self.n_chance:
-            return self
-        own, n = x[self.n_shared :].reshape(len(self.trips), -1), self.n_shared
-        variances = np.diag(self.covariance(x, 1.0))[n:].reshape(own.shape)
-        squares = (own**2 + variances)[:, : self.n_chance].mean(axis=0)
-        c_p, c_s = np.sqrt(squares).tolist()
-        return replace(self, chance=(c_p, c_s))
 
     def with_errors_at(self, x: FloatArray) -> BogieMisfit:
         """Return the fit with noise, and errors of the model that the trips show, at x."""

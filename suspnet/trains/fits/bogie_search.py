@@ -21,6 +21,7 @@ from torch import Tensor
 
 from suspnet.ground.types import FloatArray
 from suspnet.trains.fits.bogie_misfit import BogieMisfit
+from suspnet.trains.fits.posterior import step_left, with_chance_at
 
 ROUGH, SPREADS = (1.0, 0.3), (0.3, 0.1, 0.03)
 """Model errors as fractions of each signal: those of a first search, another where it fails, and
@@ -106,7 +107,7 @@ class SearchEnd:
             end = SearchEnd(fit, *search(fit, end.x, 0.0, fit.all_bins, tolerances(fit)[1]))
             if end.converged or not end.misfit <= explained:
                 return end
-        return replace(end, converged=fit.step_left(end.x) <= SETTLED * max(1.0, end.misfit))
+        return replace(end, converged=step_left(fit, end.x) <= SETTLED * max(1.0, end.misfit))
 
 
 def healthy_end(fit: BogieMisfit, further_parts: Sequence[str], explained: float) -> SearchEnd:
@@ -165,7 +166,7 @@ def _learnt(end: SearchEnd, rounds: int) -> SearchEnd:
         fit = end.fit
         # a few residuals a bin are easily explained by errors: they are learnt at the end
         fit = fit.with_noise_at(end.x) if fit.is_matched else fit.with_errors_at(end.x)
-        fit = fit.with_chance_at(end.x)
+        fit = with_chance_at(fit, end.x)
         end = SearchEnd(fit, *search(fit, end.x, 0.0, _thinned(fit), HEALTHY_TOLS[0]))
     return end
 

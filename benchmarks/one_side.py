@@ -1,11 +1,11 @@
-"""Read README's demonstration part by part, and as two suspensions of one side each.
+"""Read README's demonstration by all sensors, and by those of one side alone.
 
-python benchmarks/two_suspensions.py FOLDER
+python benchmarks/one_side.py FOLDER
 
 FOLDER is that in which the three commands at the top of docs/parts.md were run. The trips get
 manifests with the sensors of the left side alone and of the right side alone, from which vehicles
-are commissioned and the trips read (protocol=trips). Runs that FOLDER holds already are taken.
-Writes two_suspensions.csv: what each reading says of the damper that fades.
+are commissioned and the trips read. Runs that FOLDER holds already are taken. Writes one_side.csv:
+what each reading says of the damper that fades.
 """
 
 import csv
@@ -22,7 +22,6 @@ ROOT = Path(__file__).resolve().parents[1]
 RESULTS = Path(__file__).parent / "results"
 PART = "c_p_axle2_left"
 SIDES = ("left", "right")
-TRAIN = ("data.n_train=2000", "data.n_test=100", "data.n_calibrate=400", "figures=false")
 
 
 def one_sided(source: Path, folder: Path, side: str) -> None:
@@ -60,11 +59,11 @@ def main() -> None:
             continue
         one_sided(folder / "trips" / "parts", folder / "trips" / side, side)
         model, trips = f"outputs/{side}", f"trips/{side}"
-        options = [f"healthy={trips}", "n_healthy=4", f"hydra.run.dir={model}", *TRAIN]
+        options = [f"healthy={trips}", "n_healthy=4", f"hydra.run.dir={model}"]
         run(folder, str(ROOT / "train.py"), "experiment=trips", *options)
         run(folder, str(ROOT / "evaluate.py"), f"trips={trips}", f"run={model}", most=ACT)
     every = {name: rows_of(folder, name) for name in ("parts", *SIDES)}
-    with (RESULTS / "two_suspensions.csv").open("w", newline="") as file:
+    with (RESULTS / "one_side.csv").open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["trip", "truth", "reading", "estimate", "low", "high"])
         for trip, row in every["parts"].items():
