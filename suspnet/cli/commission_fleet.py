@@ -109,10 +109,8 @@ def train_fleet(
     work = functools.partial(_trained, train_one=train_one)
     bar = progress_bar("suspensions", len(unfinished), unit="suspension", shown=config.progress)
     with bar:
-        for run, outcome in each(work, unfinished, config.workers):
-            warnings, error = (
-                ([], str(outcome)) if isinstance(outcome, LostWorkerError) else outcome
-            )
+        for run, ended in each(work, unfinished, config.workers):
+            warnings, error = ([], str(ended)) if isinstance(ended, LostWorkerError) else ended
             for message in warnings:
                 log.warning("%s: %s", run.group.name, message)
             if error:

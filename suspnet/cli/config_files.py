@@ -125,9 +125,9 @@ def _options(group: str, folders: Iterable[Path]) -> dict[str, str]:
     """Return a phrase on each option of a group."""
     files = sorted(file for folder in folders for file in (folder / group).glob("*.yaml"))
     phrases = {file.stem: phrase(file) for file in files}
-    return phrases | {
-        name: text.partition("\n")[0].partition("# ")[2] for name, text in _table(group)
-    }
+    for name, text in _table(group):
+        phrases[name] = text.partition("\n")[0].partition("# ")[2]
+    return phrases
 
 
 def _table(group: str) -> list[tuple[str, str]]:

@@ -38,12 +38,8 @@ def demo(_: Namespace) -> int:
     with progress.on_stderr(), progress.bar("demo", len(STEPS), unit="step") as bar:
         for title, words in STEPS.items():
             bar.set_description_str(title)
-            done = subprocess.run(
-                [sys.executable, "-m", "suspnet", *words],
-                capture_output=True,
-                text=True,
-                check=False,
-            )
+            typed = [sys.executable, "-m", "suspnet", *words]
+            done = subprocess.run(typed, capture_output=True, text=True)
             if done.returncode not in (0, ACT):
                 lines = done.stderr.splitlines() or [f"exit code {done.returncode}"]
                 raise ValueError(f"{title}: {lines[-1].removeprefix('error: ')}")

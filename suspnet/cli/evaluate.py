@@ -40,9 +40,9 @@ ALARMS = {Severity.UNKNOWN: SOME_WITHOUT_ESTIMATE, Severity.NOTICE: NOTICE, Seve
 def exit_code(done: Sequence[Evaluated]) -> int:
     """Return the exit code for the worst of some suspensions."""
     codes = [ALARMS.get(suspension.severity, FINE) for suspension in done]
-    return worst(
-        [*codes, *(SOME_WITHOUT_ESTIMATE for suspension in done if not suspension.is_complete)]
-    )
+    if not all(suspension.is_complete for suspension in done):
+        codes.append(SOME_WITHOUT_ESTIMATE)
+    return worst(codes)
 
 
 def ends_with_its_code(function: Callable[[DictConfig], int]) -> Callable[[DictConfig], None]:
@@ -104,17 +104,9 @@ def _read_trips(
 ) -> int:
     """Read a folder of trips with the models of some runs; return the exit code."""
     models = [load_model(folder, config.device) for folder in runs]
-    done = evaluate_fleet(
-        Path(config.trips),
-        models,
-        output,
-        build(config, "monitor"),
-        config.progress,
-        store,
-        config.seed,
-        config.figures,
-    )
-    return exit_code(done)
+    trips, settings = Path(config.trips), build(config, "monitor")
+    options = config.progress, store, config.seed, config.figures
+    return exit_code(evaluate_fleet(trips, models, output, settings, *options))
 
 
 def _score(config: DictConfig, runs: Sequence[Path], output: Path) -> None:
@@ -128,15 +120,10 @@ def _score(config: DictConfig, runs: Sequence[Path], output: Path) -> None:
         threads=program.n_threads(config.threads),
         progress=config.progress,
     )
+    options = {"device": config.device, "figures": config.figures}
     results = [
-        evaluate(
-            folder,
-            output / folder.name if len(runs) > 1 else output,
-            fresh,
-            device=config.device,
-            figures=config.figures,
-        )
-        for folder in runs
+        evaluate(run, output / run.name if len(runs) > 1 else output, fresh, **options)
+        for run in runs
     ]
     if len(results) > 1:
         write_table6(results, output)

@@ -40,14 +40,10 @@ def history(arguments: Namespace) -> None:
 def _listed(store: History, _: Namespace) -> str:
     rows = []
     for series in store.series():
-        mileage_km = series.mileage_km[np.isfinite(series.mileage_km)]
-        span = (
-            f"{thousands(mileage_km[0])} to {thousands(mileage_km[-1])}" if len(mileage_km) else ""
-        )
-        done = "; ".join(map(str, series.events))
-        rows.append(
-            [series.vehicle, series.place, len(series.trip), int(series.done.sum()), span, done]
-        )
+        km = series.mileage_km[np.isfinite(series.mileage_km)]
+        span = f"{thousands(km[0])} to {thousands(km[-1])}" if len(km) else ""
+        row = [series.vehicle, series.place, len(series.trip), int(series.done.sum()), span]
+        rows.append([*row, "; ".join(map(str, series.events))])
     header = ["vehicle", "suspension", "trips", "with estimate", "km", "maintenance"]
     return tabulate(rows, header, tablefmt="github", disable_numparse=True)
 
@@ -72,10 +68,7 @@ def _alarms(store: History, arguments: Namespace) -> str:
     chosen.sort(key=lambda row: (not row[0].is_open, -row[0].severity, row[1] is not None))
     rows = [
         [
-            str(alarm.severity),
-            *key,
-            alarm.parameter,
-            alarm.cause,
+            *(str(alarm.severity), *key, alarm.parameter, alarm.cause),
             thousands(alarm.begin_km)
             if alarm.is_open
             else f"{thousands(alarm.begin_km)} to {thousands(alarm.end_km)}",

@@ -39,10 +39,7 @@ ALLOWED = frozenset(
     """.split()
 )
 """Keys that a file of ``--config-dir`` may set, with all that is below them."""
-GROUPS = (
-    *("data", "experiment", "generator", "model", "protocol"),
-    *("reading", "scenario", "search", "vehicle"),
-)
+GROUPS = "data experiment generator model protocol reading scenario search vehicle".split()
 """Groups whose options the list of defaults in such a file may choose."""
 TEXTS = ("ca_file", "reason", "source", "why")
 """Last keys of free texts, and of a path that is only read; other texts are plain words."""

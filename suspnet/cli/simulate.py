@@ -59,9 +59,7 @@ def _trains(config: DictConfig) -> Trains | None:
 
 def _log_trains(config: DictConfig, trains: Trains, folder: Path) -> None:
     """Log how many suspensions of trains were simulated, and which of them wear."""
-    wearing = [
-        suspension.name for suspension in trains.suspensions(config.seed) if suspension.wears
-    ]
+    wearing = [own.name for own in trains.suspensions(config.seed) if own.wears]
     log.info(
         "%d suspensions (trains=%d, cars=%d) of %d trips each in %s\n%d wear, scenario %s: %s",
         trains.n_all,

@@ -142,15 +142,8 @@ def _commissioned(
     HealthySettings(config.n_healthy)  # raises if it is wrong
     generator = check_generator(build(config, "generator"))
     settings = settings.bound(generator.vehicle)
-    healthy = read_healthy(
-        Path(config.healthy),
-        generator,
-        settings,
-        trips,
-        paths=paths,
-        n_first=config.n_healthy,
-        progress=config.progress,
-    )
+    chosen = {"paths": paths, "n_first": config.n_healthy, "progress": config.progress}
+    healthy = read_healthy(Path(config.healthy), generator, settings, trips, **chosen)
     if generator.parts and healthy.vehicle.shows_parts:
         log.warning(
             "without effect, as the sensors show each part: generator.parts=[%s]",
@@ -179,12 +172,5 @@ def _train(config: DictConfig, folder: Path) -> None:
     model = build(config, "model")
     search = build(config, "search") if config.get("search") else None
     resolved = program.save_config(config, folder)
-    train(
-        problem,
-        model,
-        folder,
-        search=search,
-        refine=config.refine,
-        figures=config.figures,
-        context=RunContext(resolved, folders.swept()),
-    )
+    options = {"search": search, "refine": config.refine, "figures": config.figures}
+    train(problem, model, folder, **options, context=RunContext(resolved, folders.swept()))

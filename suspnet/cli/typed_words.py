@@ -57,9 +57,8 @@ def listed(paths: Sequence[object]) -> str:
 
 def quoted(text: str, *, is_literal: bool = True) -> str:
     """Return a text in quotes, in which `is_literal` leaves no interpolation."""
-    return QuotedString(
-        text.replace("${", r"\${") if is_literal else text, Quote.single
-    ).with_quotes()
+    literal = text.replace("${", r"\${") if is_literal else text
+    return QuotedString(literal, Quote.single).with_quotes()
 
 
 def of_each_name(text: str) -> dict[str, Any]:

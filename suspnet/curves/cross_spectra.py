@@ -135,7 +135,7 @@ class CrossSpectra(ShortRepr):
         chosen = _instruments(method)
         rows, scales = [], []
         for i, (x_i, y_i, _) in enumerate(CHAIN):
-            row, row_scales = [], []
+            row, scale = [], []
             for j, (x_j, y_j, _) in enumerate(CHAIN):
                 g_i, g_j = responses[..., i, :], responses[..., j, :].conj()
                 residual = (
@@ -144,12 +144,10 @@ class CrossSpectra(ShortRepr):
                     - g_j * self.between(x_j, y_i)
                     + g_i * g_j * self.between(x_j, x_i)
                 )
-                row_scales.append(
-                    self.between(chosen[i], y_i) * self.between(chosen[j], y_j).conj()
-                )
+                scale.append(self.between(chosen[i], y_i) * self.between(chosen[j], y_j).conj())
                 row.append(self.between(chosen[i], chosen[j]) * residual / self.n_averages)
             rows.append(torch.stack(row, dim=-2))
-            scales.append(torch.stack(row_scales, dim=-2))
+            scales.append(torch.stack(scale, dim=-2))
         return torch.stack(rows, dim=-3), torch.stack(scales, dim=-3)
 
     def measured_covariance(self, method: Method, correlation: Tensor) -> Tensor:

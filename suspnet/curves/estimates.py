@@ -183,9 +183,8 @@ class EstimateSettings(Counts):
         """
         if self.low_hz is None or self.high_hz is None:
             raise ValueError("the band follows from the vehicle: call `bound` first")
-        first = max(
-            math.ceil(self.low_hz * self.segment_s - 1e-9), 1 + len(self.welch.smear()) // 2
-        )
+        lowest = math.ceil(self.low_hz * self.segment_s - 1e-9)
+        first = max(lowest, 1 + len(self.welch.smear()) // 2)
         last = math.floor(self.high_hz * self.segment_s + 1e-9)
         return torch.arange(first, last + 1, dtype=torch.float64) / self.segment_s
 

@@ -209,9 +209,8 @@ class PeakFeatures(FeatureSet):
         if curves.ndim != 3 or curves.shape[1:] != (2, len(frequencies_hz)):
             expected = f"(n_curves, 2, {len(frequencies_hz)})"
             raise ValueError(f"`curves` must have shape {expected}, got {tuple(curves.shape)}")
-        band = slice(
-            int((frequencies_hz < self.low_hz).sum()), int((frequencies_hz <= self.high_hz).sum())
-        )
+        ends = (frequencies_hz < self.low_hz).sum(), (frequencies_hz <= self.high_hz).sum()
+        band = slice(*map(int, ends))
         frequencies, curves = frequencies_hz[band], curves[:, :, band]
         primary, secondary = (curves.abs() if curves.is_complex() else curves).unbind(1)
         check_grid(primary, frequencies)
@@ -226,9 +225,8 @@ class PeakFeatures(FeatureSet):
                     peaks[name] = self._primary_peak(name, smoothed, peaks.get("secondary"))
         chosen = [peaks[name] for name in self.peaks]
         columns = [c for p in chosen for c in (p.position_hz, p.height, p.width_hz)]
-        return FeatureTable(
-            torch.stack(columns, dim=1), torch.stack([p.reason for p in chosen], dim=1)
-        )
+        reasons = torch.stack([p.reason for p in chosen], dim=1)
+        return FeatureTable(torch.stack(columns, dim=1), reasons)
 
     def _primary_peak(self, name: str, primary: SmoothedCurves, secondary: Peaks | None) -> Peaks:
         """Return one peak of abs(G_p), searched on its side of the secondary peak."""

@@ -170,7 +170,7 @@ class Problem:
         """
         ratios = self.ratios(stream)
         computed = slice(0, len(ratios) if n_first is None else -(-n_first // BLOCK) * BLOCK)
-        ratios, requested = ratios[computed], slice(0, n_first)
+        ratios = ratios[computed]
         healthy = self.healthy_features()
         values = np.empty((len(ratios), len(healthy)))
         extractor = self.extractor
@@ -193,9 +193,8 @@ class Problem:
         mass = [ratios[:, BODY_MASS_COLUMN]] if self.task.mass_known else []
         inputs = np.column_stack([values, *mass])
         outputs = ratios[:, self.task.output_indices]
-        return FeatureData(
-            inputs[requested], outputs[requested], ratios[requested], reasons[requested]
-        )
+        data = FeatureData(inputs, outputs, ratios, reasons)
+        return data if n_first is None else data.first(n_first)
 
 
 @dataclass(frozen=True)
@@ -237,9 +236,7 @@ class FeatureData:
 
     def subset(self, rows: BoolArray) -> FeatureData:
         """Return the curves for which `rows` is true, possibly none."""
-        return FeatureData(
-            self.inputs[rows], self.outputs[rows], self.ratios[rows], self.reasons[rows]
-        )
+        return FeatureData(*(array[rows] for array in vars(self).values()))
 
 
 @contextmanager

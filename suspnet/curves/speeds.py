@@ -66,9 +66,7 @@ def reading_range(speed_m_per_s: float, ranges: Iterable[SpeedRange]) -> SpeedRa
     """Return the range that contains a speed, by the nearest middle; None if there is none."""
     holding = [speeds for speeds in ranges if speeds.holds(speed_m_per_s)]
     return min(
-        holding,
-        key=lambda speeds: abs(math.log(speed_m_per_s / speeds.trained_m_per_s)),
-        default=None,
+        holding, key=lambda r: abs(math.log(speed_m_per_s / r.trained_m_per_s)), default=None
     )
 
 
@@ -85,7 +83,5 @@ def range_words(ranges: Iterable[SpeedRange]) -> str:
             joined[-1] = SpeedRange(joined[-1].low_m_per_s, high)
         else:
             joined.append(speeds)
-    words = (
-        Finding("range", low=speeds.low_m_per_s, high=speeds.high_m_per_s) for speeds in joined
-    )
+    words = (Finding("range", low=r.low_m_per_s, high=r.high_m_per_s) for r in joined)
     return Finding("metres-per-second", words=together(words, " and "))

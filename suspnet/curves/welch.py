@@ -231,10 +231,6 @@ def tfestimate(
     spectra = segments.average(torch.ones(len(segments.values), dtype=torch.bool))
     third = 2 if instrument is not None else None
     response = spectra.transfer(0, 1, method, third)
-    return TransferEstimate(
-        segments.frequencies_hz,
-        response,
-        spectra.coherence(0, 1),
-        spectra.deviation(0, 1, method, third),
-        spectra.n_averages,
-    )
+    deviation = spectra.deviation(0, 1, method, third)
+    parts = response, spectra.coherence(0, 1), deviation, spectra.n_averages
+    return TransferEstimate(segments.frequencies_hz, *parts)

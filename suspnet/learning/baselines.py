@@ -88,9 +88,7 @@ class SVR(Regressor):
             fitted.append(machine)
             if self.callback is not None:
                 self.callback(len(fitted))
-        self.support_vectors_ = [
-            np.ascontiguousarray(machine.support_vectors_) for machine in fitted
-        ]
+        self.support_vectors_ = [np.ascontiguousarray(m.support_vectors_) for m in fitted]
         self.dual_coef_ = [np.ascontiguousarray(machine.dual_coef_[0]) for machine in fitted]
         self.intercept_ = np.array([float(machine.intercept_[0]) for machine in fitted])
         self.support_fraction_ = float(np.mean([len(c) for c in self.dual_coef_]) / len(samples))
@@ -170,9 +168,8 @@ class KernelRidge(Regressor):
         """Fit to samples (n_samples, n_inputs) and outputs (n_samples,) or (.., n_outputs)."""
         samples, targets = self._training_data(X, y)
         self.intercept_ = targets.mean(axis=0)
-        machine = kernel_ridge.KernelRidge(
-            alpha=1 / (2 * self.C), kernel="rbf", gamma=1 / self.sigma**2
-        )
+        alpha, gamma = 1 / (2 * self.C), 1 / self.sigma**2
+        machine = kernel_ridge.KernelRidge(alpha=alpha, kernel="rbf", gamma=gamma)
         machine.fit(samples, targets - self.intercept_)
         self.dual_coef_, self.X_fit_ = machine.dual_coef_, np.ascontiguousarray(samples)
         return self
@@ -291,9 +288,8 @@ class CurveFit(MethodFlags, BaseEstimator):  # type: ignore[misc]
             return plain, compressed
 
         # Compressed curves first: narrow peaks overlap at their feet only.
-        rough = LevenbergMarquardt(
-            max_iter=min(self.max_iter, ROUGH_ITER), tol=ROUGH_TOL, bounds=bounds
-        )
+        n_rough = min(self.max_iter, ROUGH_ITER)
+        rough = LevenbergMarquardt(max_iter=n_rough, tol=ROUGH_TOL, bounds=bounds)
         pairs = [residuals(forward) for forward, _ in forwards]
         all_rows = torch.arange(len(observed), device=observed.device)
         starts, costs = [], []

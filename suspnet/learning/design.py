@@ -162,9 +162,7 @@ class DenseDesign(Design):
 
     def weighted_gram(self, weights: Tensor | None) -> Gram:
         """Return the Gram matrix of the weighted samples; those of weight 0 cost nothing."""
-        products = torch.zeros(
-            self.n_features, self.n_features, dtype=torch.float64, device=self.X.device
-        )
+        products = self._zeros(self.n_features, self.n_features)
         sums = self._zeros(self.n_features, 1)[:, 0]
         count = products.new_zeros(1)
         starts = range(0, self.n_features, self._gram_columns)
@@ -208,16 +206,11 @@ class FixedGram:
     """
 
     def __init__(self, gram: Gram, C: float, fit_intercept: bool) -> None:
-        self._sums, self._weight_sum, self._factor = _centred_factor(gram, 2 * C, fit_intercept)
+        self._solve = _centred_solver(gram, 2 * C, fit_intercept)
 
     def direction(self, gradient: Gradient, accuracy: float) -> Coefficients:
         """Return -H^-1 g, exactly."""
-        return without_intercept(
-            gradient,
-            self._sums,
-            self._weight_sum,
-            lambda right: cholesky_solve(right, self._factor),
-        )
+        return self._solve(gradient)
 
 
 class ReweightedGram:
@@ -229,10 +222,7 @@ class ReweightedGram:
     def direction(self, gradient: Gradient, accuracy: float) -> Coefficients:
         """Return (W^s - W, b^s - b) of Eq. (11), exactly."""
         gram = self._design.weighted_gram(gradient.weights)
-        sums, weight_sum, factor = _centred_factor(gram, 1.0, self._fit_intercept)
-        return without_intercept(
-            gradient, sums, weight_sum, lambda right: cholesky_solve(right, factor)
-        )
+        return _centred_solver(gram, 1.0, self._fit_intercept)(gradient)
 
 
 class NewtonGram:
@@ -291,8 +281,10 @@ class NewtonGram:
                 yield j, k, self._design.weighted_gram(weights)
 
 
-def _centred_factor(gram: Gram, scale: float, fit_intercept: bool) -> tuple[Tensor, float, Tensor]:
-    """Return sums, sum of weights and Cholesky factor of I plus the scaled centred Gram matrix."""
+def _centred_solver(
+    gram: Gram, scale: float, fit_intercept: bool
+) -> Callable[[Gradient], Coefficients]:
+    """Return what solves the equations of I plus the scaled Gram matrix, with b eliminated."""
     matrix = scale * gram.products
     sums, weight_sum = torch.zeros_like(gram.sums), 0.0
     if fit_intercept and gram.weight_sum > 0:
@@ -300,7 +292,12 @@ def _centred_factor(gram: Gram, scale: float, fit_intercept: bool) -> tuple[Tens
         matrix.addr_(sums, sums, alpha=-1 / weight_sum)
     matrix.diagonal().add_(1.0)
     name = f"system of IRWLS with weights of total {scale * gram.weight_sum:.1e}"
-    return sums, weight_sum, cholesky(matrix, name)
+    factor = cholesky(matrix, name)
+
+    def solve(right: Tensor) -> Tensor:
+        return cholesky_solve(right, factor)
+
+    return lambda gradient: without_intercept(gradient, sums, weight_sum, solve)
 
 
 def cholesky(matrix: Tensor, name: str, advice: str = "lower C, or scale the outputs") -> Tensor:

@@ -190,10 +190,8 @@ class EquispacedTransform:
             strengths = torch.zeros(self.n_samples, 2, dtype=torch.float64)
             strengths[:, : pair.shape[1]] = pair
             transformed = self._transform(1, 1, torch.view_as_complex(strengths)).flatten()
-            direct, mirrored = (
-                transformed[self._places],
-                transformed[self._size - 1 - self._places].conj(),
-            )
+            direct = transformed[self._places]
+            mirrored = transformed[self._size - 1 - self._places].conj()
             sums += [0.5 * (direct + mirrored), -0.5j * (direct - mirrored)][: pair.shape[1]]
         return self.real(torch.stack(sums))
 

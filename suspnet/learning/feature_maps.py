@@ -108,40 +108,6 @@ def generator(seed: int) -> torch.Generator:
 
 
 @dataclass(frozen=True)
-class LandmarkFeatures(FeatureMap):
-    """phi(x) = V^T k(Z, x) with V V^T the inverse of k(Z, Z) on landmarks Z (Nystroem).
-
-    `landmarks`: Z (n_landmarks, n_inputs), `whitening`: V (n_landmarks, n_features), `sigma`: ().
-    """
-
-    landmarks: Tensor
-    whitening: Tensor
-    sigma: Tensor
-
-    @property
-    def n_inputs(self) -> int:
-        """Number of columns the map takes."""
-        return self.landmarks.shape[1]
-
-    @property
-    def basis(self) -> Tensor:
-        """Matrix V in Phi = K V, (n_landmarks, n_features)."""
-        return self.whitening
-
-    def raw(self, X: Tensor) -> Tensor:
-        """Return the kernel of samples and landmarks, shape (n_samples, n_landmarks)."""
-        return rbf_kernel(X, self.landmarks, float(self.sigma))
-
-    def __call__(self, X: Tensor) -> Tensor:
-        """Return features of shape (n_samples, n_features)."""
-        return self.raw(X) @ self.whitening
-
-    def apply(self, X: Tensor, coef: Tensor) -> Tensor:
-        """Return Phi coef, shape (n_samples, n_outputs)."""
-        return self.raw(X) @ (self.whitening @ coef)
-
-
-@dataclass(frozen=True)
 class KernelColumns(FeatureMap):
     """The exact kernel: columns k(x, x_i) of the training samples, for dual coefficients.
 
@@ -159,6 +125,33 @@ class KernelColumns(FeatureMap):
     def __call__(self, X: Tensor) -> Tensor:
         """Return the kernel of samples and training samples, (n_samples, n_training)."""
         return rbf_kernel(X, self.landmarks, float(self.sigma))
+
+
+@dataclass(frozen=True)
+class LandmarkFeatures(KernelColumns):
+    """phi(x) = V^T k(Z, x) with V V^T the inverse of k(Z, Z) on landmarks Z (Nystroem).
+
+    `landmarks`: Z (n_landmarks, n_inputs), `sigma`: (), `whitening`: V (n_landmarks, n_features).
+    """
+
+    whitening: Tensor
+
+    @property
+    def basis(self) -> Tensor:
+        """Matrix V in Phi = K V, (n_landmarks, n_features)."""
+        return self.whitening
+
+    def raw(self, X: Tensor) -> Tensor:
+        """Return the kernel of samples and landmarks, shape (n_samples, n_landmarks)."""
+        return super().__call__(X)
+
+    def __call__(self, X: Tensor) -> Tensor:
+        """Return features of shape (n_samples, n_features)."""
+        return self.raw(X) @ self.whitening
+
+    def apply(self, X: Tensor, coef: Tensor) -> Tensor:
+        """Return Phi coef, shape (n_samples, n_outputs)."""
+        return self.raw(X) @ (self.whitening @ coef)
 
 
 def rbf_kernel(X: Tensor, Z: Tensor, sigma: float) -> Tensor:
@@ -273,4 +266,4 @@ def _landmarks(X: Tensor, landmarks: Tensor, sigma: float) -> LandmarkFeatures:
     is_regular = values > values[-1] * len(values) * torch.finfo(values.dtype).eps
     whitening = vectors[:, is_regular] / values[is_regular].sqrt()
     width = torch.tensor(float(sigma), dtype=X.dtype, device=X.device)
-    return LandmarkFeatures(landmarks, whitening.to(X).contiguous(), width)
+    return LandmarkFeatures(landmarks, width, whitening.to(X).contiguous())

@@ -142,13 +142,11 @@ class IRWLS:
             direction = equations.direction(gradient, self.tol * objective)
             # One pass over the samples computes everything needed for the step, the next gradient
             # (after a full step) and the bound.
-            change, products = design.matvec_rmatvec(
-                direction, functional.columns(residual, gradient)
-            )
+            columns = functional.columns(residual, gradient)
+            change, products = design.matvec_rmatvec(direction, columns)
             # The bound holds for any direction; the best one so far proves the gap.
-            lower = max(
-                lower, functional.lower_bound(objective, gradient, direction, change, products)
-            )
+            bound = functional.lower_bound(objective, gradient, direction, change, products)
+            lower = max(lower, bound)
             # The full step can raise F if epsilon is not small: backtrack until F decreases.
             decrement = functional.decrement(gradient, direction)
             step, objective = functional.backtrack(
@@ -256,9 +254,8 @@ class Functional:
         def make(rows: slice, change: Tensor) -> Tensor:
             weights = gradient.weights[rows, None]
             moved = residual[rows] - change
-            return torch.cat(
-                [self.weights(moved)[:, None] * moved, weights * change, weights], dim=1
-            )
+            weighted = self.weights(moved)[:, None] * moved
+            return torch.cat([weighted, weights * change, weights], dim=1)
 
         return make
 

@@ -145,9 +145,8 @@ class LevenbergMarquardt:
             status[is_low] = RowStatus.SMALL_DECREASE
         # A small step that raises the cost means convergence only if damping did not shorten it.
         is_small = trial.is_small(self.tol) & trial.solved & (better | (damping < 1))
-        if (
-            self.accelerated and self.least_decrease
-        ):  # a step may be small in a bent valley far from its lowest point
+        # a step may be small in a bent valley far from its lowest point
+        if self.accelerated and self.least_decrease:
             is_small &= trial.left <= SMALL_LEFT * self.least_decrease
         status[is_small] = RowStatus.SMALL_STEP
         return status
@@ -335,9 +334,8 @@ def derivatives(
     columns, second = [], []
     for steps in unit_steps.split(max(1, AT_ONCE // n_rows)):
         repeated = rows.repeat(len(steps))
-        above = residual((theta + steps[:, None]).flatten(0, 1), repeated).unflatten(
-            0, (-1, n_rows)
-        )
+        moved = (theta + steps[:, None]).flatten(0, 1)
+        above = residual(moved, repeated).unflatten(0, (-1, n_rows))
         below = values
         if not one_sided:
             moved = (theta - steps[:, None]).flatten(0, 1)

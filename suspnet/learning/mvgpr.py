@@ -228,11 +228,9 @@ class MVGPR(Regressor):
             value.backward()
             evaluations += 1
             if self.callback is not None:
-                length, noise = np.exp(theta)
+                length, noise = np.exp(theta).tolist()
                 likelihood = float(value.detach())
-                self.callback(
-                    LikelihoodEvaluation(evaluations, likelihood, float(length), float(noise))
-                )
+                self.callback(LikelihoodEvaluation(evaluations, likelihood, length, noise))
             gradient = logs.grad if logs.grad is not None else torch.zeros_like(logs)
             return -float(value.detach()), -gradient.cpu().numpy()
 

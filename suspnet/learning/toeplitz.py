@@ -81,13 +81,11 @@ class ToeplitzEquations:
         self._shape = tuple(next_fast_len(4 * count + 1, real=True) for count in design.counts)
         # Spectra of real fields are stored as rfftn does: the last axis has half the frequencies,
         # and in its plane 0 both k and -k are needed.
-        half = (*self._shape[:-1], self._shape[-1] // 2 + 1)
-        self._half = half
+        self._half = (*self._shape[:-1], self._shape[-1] // 2 + 1)
         size = torch.tensor(self._shape)
-        self._places = flat_index(design.waves % size, half)
-        plane = design.waves[:, -1] == 0
-        self._plane = plane
-        self._mirrored = flat_index(-design.waves[plane] % size, half)
+        self._places = flat_index(design.waves % size, self._half)
+        self._plane = design.waves[:, -1] == 0
+        self._mirrored = flat_index(-design.waves[self._plane] % size, self._half)
         wide = [4 * count + 1 for count in design.counts]
         self._steps, self._middle = flat_index(design.waves, wide), math.prod(wide) // 2
         # The first preconditioner is that of weights 2 C, also for reweighted equations.

@@ -83,16 +83,10 @@ class DataSet(ShortRepr):
         estimates = check_estimates(rule, predicted, (len(truth), truth.shape[1]))
         error = 100 * np.sqrt(np.mean((estimates / truth - 1) ** 2, axis=0))
         least = 100 * np.sqrt(np.mean((bound / truth) ** 2, axis=0))
-        return {
-            name: dict(zip(("rms_percent", "bound_percent", "ratio"), numbers, strict=True))
-            for name, *numbers in zip(
-                self.about["outputs"],
-                error.tolist(),
-                least.tolist(),
-                over_bound(error, least).tolist(),
-                strict=True,
-            )
-        }
+        numbers = np.column_stack([error, least, over_bound(error, least)]).tolist()
+        names = "rms_percent", "bound_percent", "ratio"
+        scores = (dict(zip(names, row, strict=True)) for row in numbers)
+        return dict(zip(self.about["outputs"], scores, strict=True))
 
 
 ARRAYS = tuple(column.name for column in fields(DataSet)[:-1])  # names of the arrays of a data set

@@ -80,14 +80,12 @@ def scores(problem: Problem, model: FittedMethod, outcome: Outcome) -> Metrics:
         "n_bound": len(bounds),
     }
     if model.intervals is not None and outcome.scales is not None:
-        intervals = [
-            model.intervals.ends(outcome.predicted, outcome.scales, LEVEL, joint)
-            for joint in (False, True)
-        ]
-        metrics["intervals"] = interval_scores(
-            data.outputs, intervals[0], intervals[1], task.outputs
+        single, joint = (
+            model.intervals.ends(outcome.predicted, outcome.scales, LEVEL, is_joint)
+            for is_joint in (False, True)
         )
-        metrics["intervals"]["level"] = LEVEL
+        scores_of = interval_scores(data.outputs, single, joint, task.outputs)
+        metrics["intervals"] = scores_of | {"level": LEVEL}
     if outcome.flags is not None:
         shares = 100 * outcome.flags.found.mean(axis=0)
         metrics["flagged_percent"] = dict(zip(KINDS, shares.tolist(), strict=True))

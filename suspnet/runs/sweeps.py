@@ -56,10 +56,8 @@ class Jobs(Callback):
             run_log.text("jobs", table)
         # the terminal shows the errors alone, and the state where it says something
         says = {"finished"} != {row["state"] for row in rows}
-        short = [
-            {k: v for k, v in row.items() if "/" not in k and (says or k != "state")}
-            for row in rows
-        ]
+        left_out = {key for key in rows[0] if "/" in key} | (set() if says else {"state"})
+        short = [{k: v for k, v in row.items() if k not in left_out} for row in rows]
         log.info(
             "rms error in %%, least mean first among jobs with the same outputs\n\n%s\n"
             "-> %s/jobs.*, with the errors over the Cramer-Rao bound\n"
@@ -98,13 +96,11 @@ def job_rows(folder: Path) -> list[dict[str, Any]]:
         state = {"state": "finished" if of_job else failed}
         rows.append({"job": job.name, "mean": mean} | columns | of_job | ratios[job] | state)
     place = {job.name: sets.index(tuple(errors[job])) for job in jobs}
-    return sorted(
-        rows,
-        key=lambda row: (
-            *(row["mean"] is None, place[row["job"]]),
-            *(row["mean"] or 0.0, row["job"]),
-        ),
-    )
+
+    def rank(row: dict[str, Any]) -> tuple[Any, ...]:
+        return row["mean"] is None, place[row["job"]], row["mean"] or 0.0, row["job"]
+
+    return sorted(rows, key=rank)
 
 
 def with_swept(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -208,9 +204,8 @@ def _write_trials(searched: Sequence[Run], folder: Path) -> None:
     for k, run in enumerate(searched):
         search = run["search"]
         with SummaryWriter(str(folder / run["model"])) as writer:
-            for i, (setting, rmse) in enumerate(
-                zip(search["settings"], search["rmse"], strict=True)
-            ):
+            trials = zip(search["settings"], search["rmse"], strict=True)
+            for i, (setting, rmse) in enumerate(trials):
                 # null, in a file, stands for a trial that failed
                 if isinstance(rmse, float) and math.isfinite(rmse):
                     numbers = {key: v for key, v in setting.items() if isinstance(v, int | float)}

@@ -3,8 +3,9 @@
 import io
 import json
 from collections.abc import Collection, Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -17,21 +18,10 @@ from torch.utils.tensorboard.summary import hparams
 from suspnet.ground.storage import write_atomically
 
 HYPERPARAMETERS: dict[str, Any] = {
-    "model": "",
-    "group": "",
-    "C": 0.0,
-    "sigma": 0.0,
-    "epsilon": 0.0,
-    "feature_map": "",
-    "n_components": 0,
-    "length_scale": 0.0,
-    "signal_variance": 0.0,
-    "noise_variance": 0.0,
-    "n_train": 0,
-    "snr_db": 0.0,
-    "seed": 0,
-    "protocol": "",
-    "vehicle": "",
+    **dict.fromkeys(("model", "group", "feature_map", "protocol", "vehicle"), ""),
+    **dict.fromkeys(("C", "sigma", "epsilon", "length_scale", "snr_db"), 0.0),
+    **dict.fromkeys(("signal_variance", "noise_variance"), 0.0),
+    **dict.fromkeys(("n_components", "n_train", "seed"), 0),
 }
 """Columns of the HPARAMS tab, each with a value of its type."""
 OF_EVERY_METHOD = ("model", "group", "n_train", "snr_db", "seed", "protocol", "vehicle")
@@ -52,7 +42,7 @@ CHARTS = {
 """Layout of the tab CUSTOM SCALARS: the outputs of a run share one chart."""
 
 
-class RunLog:
+class RunLog(AbstractContextManager["RunLog"]):
     """One run's TensorBoard events, in the run's own folder; a context manager.
 
     If `is_new`, TensorBoard shows these events in place of those that an earlier run left in the
@@ -61,9 +51,6 @@ class RunLog:
 
     def __init__(self, folder: Path, is_new: bool = False) -> None:
         self._writer = SummaryWriter(str(folder), purge_step=0 if is_new else None)
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._writer.close()

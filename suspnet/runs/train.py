@@ -164,13 +164,8 @@ def _metrics(
 
 def environment() -> dict[str, Any]:
     """Return what the numbers depend on in addition to the configuration."""
-    git = subprocess.run(
-        ["git", "describe", "--always", "--dirty"],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=Path(__file__).parent,
-    )
+    command = ["git", "describe", "--always", "--dirty"]
+    git = subprocess.run(command, capture_output=True, text=True, cwd=Path(__file__).parent)
     return {
         "python": sys.version,
         "platform": platform.platform(),

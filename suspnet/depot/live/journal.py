@@ -14,6 +14,7 @@ import json
 import sqlite3
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,7 @@ class JournalError(ValueError):
     """The journal cannot be used: it is another file, or another monitor has it open."""
 
 
-class Journal:
+class Journal(AbstractContextManager["Journal"]):
     """States and frames of the suspensions of one process; a context manager.
 
     What is added and saved is on the disk after the next `write`. `n_bytes` is the size of the
@@ -80,10 +81,8 @@ class Journal:
             run(f"PRAGMA application_id = {APPLICATION_ID}")
             run("CREATE TABLE format (name TEXT)")
             run("INSERT INTO format VALUES (?)", (FORMAT,))
-            run(
-                "CREATE TABLE suspensions "
-                "(number INTEGER PRIMARY KEY, name TEXT UNIQUE NOT NULL, state BLOB)"
-            )
+            columns = "number INTEGER PRIMARY KEY, name TEXT UNIQUE NOT NULL, state BLOB"
+            run(f"CREATE TABLE suspensions ({columns})")
             run("CREATE TABLE frames (id INTEGER PRIMARY KEY, frame BLOB NOT NULL)")
         elif run(ACTING).fetchone() is not None:
             raise JournalError(f"{self.path}: it holds a view or trigger: this is no journal")
@@ -98,9 +97,6 @@ class Journal:
             last, size = run(query, _ids(number)).fetchone()
             self._numbers[name], self._last[name] = number, last or number * RANGE
             self.n_bytes[name] = size or 0
-
-    def __enter__(self) -> Journal:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -98,13 +98,8 @@ class Mqtt:
         properties = import_extra("paho.mqtt.properties", "live", "MQTT").Properties(packet)
         properties.SessionExpiryInterval = round(3600 * self.session_h)
         properties.ReceiveMaximum = self.in_flight
-        client.connect_async(
-            str(self.broker.host),
-            self.broker.port,
-            keepalive=KEEPALIVE_S,
-            clean_start=False,
-            properties=properties,
-        )
+        where = str(self.broker.host), self.broker.port, KEEPALIVE_S
+        client.connect_async(*where, clean_start=False, properties=properties)
         client.loop_start()
         self._client = client
         return subscribed

@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, fields
-from datetime import UTC, datetime, tzinfo
+from datetime import datetime, tzinfo
 from datetime import time as time_of_day
 from pathlib import Path
 from typing import Any
@@ -19,16 +19,15 @@ from suspnet.ground.core_yaml import read_yaml
 from suspnet.ground.parameters import Severity
 from suspnet.trains.history import History, HistoryError
 from suspnet.trains.history.outbox import MOST_ATTEMPTS, Message, Recipient
+from suspnet.trains.recordings.dates import now
 
 log = logging.getLogger(__name__)
 LOOK_S = 10.0  # time between two looks for changed suspensions and due messages, [s]
 LONGEST_LOOK_S = 60.0
 """Longest time between two looks at the alarms, also if no suspension changed, [s]."""
 WAIT_S = 5.0  # time until an unavailable store is tried again, [s]
-KINDS: Mapping[str, type[Email] | type[Webhook]] = {
-    "email": Email,
-    "webhook": Webhook,
-}  # class of each kind of channel
+KINDS: Mapping[str, type[Email] | type[Webhook]] = {"email": Email, "webhook": Webhook}
+"""Class of each kind of channel."""
 LEVELS = {str(severity): severity for severity in (Severity.NOTICE, Severity.ACT)}
 
 
@@ -48,11 +47,8 @@ class Notifier:
     server that does not accept a message is not asked again before the next look.
     """
 
-    def __init__(
-        self, store: History, rules: Rules, clock: Callable[[], datetime] | None = None
-    ) -> None:
-        self._store, self._rules = store, rules
-        self._clock = clock or (lambda: datetime.now(UTC))
+    def __init__(self, store: History, rules: Rules, clock: Callable[[], datetime] = now) -> None:
+        self._store, self._rules, self._clock = store, rules, clock
         self._outbox = store.outbox()
         self._revisions: object = None
         self._looked_s = 0.0

@@ -11,6 +11,7 @@ import re
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from datetime import UTC, tzinfo
 from itertools import chain
@@ -141,7 +142,7 @@ def paced(frames: Iterable[Frame], times: float) -> Iterator[Frame]:
         yield frame
 
 
-class FrameFiles:
+class FrameFiles(AbstractContextManager["FrameFiles"]):
     """Writes frames into files as ``source=folder`` reads them; a context manager.
 
     A file appears atomically. It covers ``FILE_S``, of all sensors, and holds at most
@@ -171,9 +172,6 @@ class FrameFiles:
         write_atomically(self.folder / f"{self._n_files:09d}.frames", b"".join(self._held))
         self._held.clear()
         self._n_bytes = 0
-
-    def __enter__(self) -> FrameFiles:
-        return self
 
     def __exit__(self, *_: object) -> None:
         if self._held:

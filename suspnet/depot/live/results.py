@@ -35,17 +35,15 @@ class Results:
         A trip also names what it shows with those stored before it. The operation is idempotent:
         the same estimate replaces the stored one. It blocks while the store is unavailable.
         """
-        result, settings = estimate.result, self._settings
+        result, settings, models = estimate.result, self._settings, suspension.models
         has_moved = result.status == OK or estimate.distance_km >= MIN_KM
         is_stored = result.status == ERROR or not has_moved
-        limits = settings.limits_of(suspension.models)
+        limits = settings.limits_of(models)
         while not is_stored:  # ends: when the store is available, or with the process
             try:
                 last = [*self._store.last_before(result, N_LAST - 1), result]
-                result = with_joint_verdicts(last, suspension.models, settings.trips.level)[-1]
-                keep_trips(
-                    [result], result.place, suspension.models, limits, settings.changes, self._store
-                )
+                result = with_joint_verdicts(last, models, settings.trips.level)[-1]
+                keep_trips([result], result.place, models, limits, settings.changes, self._store)
                 is_stored = True
             except HistoryError as error:
                 log.warning("%s; retrying every %g s, no result is lost", error, WAIT_S)

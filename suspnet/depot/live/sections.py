@@ -154,10 +154,8 @@ class Sections:
     def over(self) -> list[Running]:
         """Remove the sections that have ended, and return them, the earliest first."""
         window = self.settings.order.window
-        passed = {
-            k for k, entry in self._open.items() if max(entry.after.values(), default=0) > window
-        }
-        last_ns = max((self._open[k].section.begin_ns for k in passed), default=-1)
+        passed = (e for e in self._open.values() if max(e.after.values(), default=0) > window)
+        last_ns = max((entry.section.begin_ns for entry in passed), default=-1)
         return self._close([k for k in self._keys if self._open[k].section.begin_ns <= last_ns])
 
     def close(self) -> list[Running]:

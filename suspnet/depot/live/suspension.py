@@ -143,13 +143,8 @@ class LiveSuspension:
         begin_ns = section.begin_ns // SECOND_NS * SECOND_NS
         before_ns = 0 if section.goes_on else self._pause_ns
         mileage_km, temperature_c = self._slow.within(begin_ns, section.end_ns, before_ns)
-        manifest = replace(
-            self.manifest,
-            name=f"{start:%Y-%m-%d %H:%M}",
-            start=start,
-            temperature_c=temperature_c,
-            truth={},
-        )
+        manifest = replace(self.manifest, name=f"{start:%Y-%m-%d %H:%M}", start=start, truth={})
+        manifest = replace(manifest, temperature_c=temperature_c)
         frames = Counter(self._sections.counts)
         self._sections.counts.clear()
         for counts in section.sensors.values():

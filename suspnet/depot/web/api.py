@@ -9,7 +9,7 @@ from flask import Blueprint, Response, abort
 from werkzeug.exceptions import HTTPException
 
 from suspnet.depot.web.access import identify_program
-from suspnet.depot.web.service import current_refresher, opened_store, stored_trips
+from suspnet.depot.web.service import current_refresher, named_state, opened_store, stored_trips
 from suspnet.ground.findings import as_plain, together
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, NAMES, part_words
 from suspnet.ground.records import TripResult
@@ -100,10 +100,7 @@ def _read_view() -> FleetView:
 
 def _state(name: str) -> State:
     _read_view()
-    state = current_refresher().board.view.state(name)
-    if state is None:
-        abort(404, "There is no such suspension in this history.")
-    return state
+    return named_state(name)
 
 
 def _listed(rows: Iterable[Row]) -> Response:

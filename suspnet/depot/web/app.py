@@ -65,11 +65,9 @@ def create_app(
     app.jinja_options = OPTIONS
     equip(app.jinja_env)
     app.jinja_env.filters["clock"] = clock
-    app.jinja_env.globals |= {
-        "is_admitted": is_admitted,
-        "ask_every_s": ask_every_s,
-        "product": f"suspnet {__version__}",
-    }
+    app.jinja_env.globals.update(
+        is_admitted=is_admitted, ask_every_s=ask_every_s, product=f"suspnet {__version__}"
+    )
     app.before_request(functools.partial(_choose_language, language))
     protected = protect(app, hosts)
     # the blueprints find fleet and rights among the extensions

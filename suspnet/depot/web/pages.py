@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import threading
 import unicodedata
 from collections.abc import Sequence
+from functools import partial
 from importlib import import_module
 from typing import Any, NamedTuple
 
@@ -28,7 +28,7 @@ from wtforms import HiddenField, StringField
 from wtforms.validators import DataRequired, Length, ValidationError
 
 from suspnet.depot.web.access import MAX_NAME, identify_visitor, visitor
-from suspnet.depot.web.service import current_refresher, opened_store, stored_trips
+from suspnet.depot.web.service import current_refresher, named_state, opened_store, stored_trips
 from suspnet.ground.findings import of
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, NAMES, PARAMETERS, Severity
 from suspnet.ground.records import INTERVAL_LEVEL
@@ -124,7 +124,7 @@ def calendar() -> ResponseReturnValue:
 @pages.get("/suspension/<name>/trend.svg")
 def trend(name: str) -> ResponseReturnValue:
     """Return the figure of the parameters along the mileage, or `of` one of them."""
-    state, part = _state(name), request.args.get("of", "")
+    state, part = named_state(name), request.args.get("of", "")
     if part and part not in _figured(state):
         abort(404)
     return _svg("trend", state, part)
@@ -134,7 +134,7 @@ def trend(name: str) -> ResponseReturnValue:
 def responses(name: str) -> ResponseReturnValue:
     """Return the figure of the frequency responses."""
     with opened_store() as store:
-        stored = store.responses(*_state(name).key)
+        stored = store.responses(*named_state(name).key)
     if not stored:
         abort(404)
     return _svg("responses", stored)
@@ -157,7 +157,7 @@ def suspension(name: str) -> ResponseReturnValue:
 @pages.post("/suspension/<name>/acknowledge")
 def acknowledge(name: str) -> ResponseReturnValue:
     """Store an acknowledgement of an alarm, and return to the page of its suspension."""
-    state, form = _state(name), AcknowledgementForm()
+    state, form = named_state(name), AcknowledgementForm()
     if not visitor().is_engineer:
         words = gettext("%(name)s may look, but not acknowledge alarms: that is for engineers.")
         abort(403, words % {"name": visitor().name})
@@ -192,7 +192,7 @@ def state() -> ResponseReturnValue:
 
 
 def _suspension_page(name: str, form: AcknowledgementForm) -> str:
-    view, state = _view(), _state(name)
+    view, state = _view(), named_state(name)
     version = _suspension_version(view, name)
     results, stored, trouble = [], [], ""
     seen, bad_rows = view.acknowledged.get(state.key, ()), []
@@ -208,9 +208,7 @@ def _suspension_page(name: str, form: AcknowledgementForm) -> str:
     newest = list(reversed(results[-N_TRIPS:]))
     mileages = state.series.mileage_km[np.isfinite(state.series.mileage_km)]
     # a figure of each part where parts are read; else of those with a finding, and one of all
-    figure = functools.partial(
-        url_for, "pages.trend", name=name, version=version, language=current()
-    )
+    figure = partial(url_for, "pages.trend", name=name, version=version, language=current())
     return _page(
         "suspension_page.html",
         "" if form.errors else version,  # a filled form is never replaced
@@ -253,14 +251,6 @@ def message_page(title: str, words: str) -> str:
 
 def _view() -> FleetView:
     return current_refresher().board.view
-
-
-def _state(name: str) -> State:
-    """Return a suspension by its name in the URL; abort with 404 if there is none."""
-    state = current_refresher().board.view.state(name)
-    if state is None:
-        abort(404, gettext("There is no such suspension in this history."))
-    return state
 
 
 def _figured(state: State) -> list[str]:

@@ -2,9 +2,10 @@
 
 from typing import cast
 
-from flask import current_app
+from flask import abort, current_app
 
 from suspnet.ground.records import TripResult
+from suspnet.runs.language import gettext
 from suspnet.trains.history import History
 from suspnet.trains.maintenance.series import with_widened
 from suspnet.trains.maintenance.state import State
@@ -28,6 +29,14 @@ def opened_store(*, to_write: bool = False) -> History:
     """
     wait_s = WRITE_S if to_write else READ_S
     return History(current_refresher().board.store, wait_s=wait_s, must_exist=True)
+
+
+def named_state(name: str) -> State:
+    """Return a suspension by its name in the URL; abort with 404 if there is none."""
+    state = current_refresher().board.view.state(name)
+    if state is None:
+        abort(404, gettext("There is no such suspension in this history."))
+    return state
 
 
 def stored_trips(store: History, state: State) -> list[TripResult]:

@@ -30,6 +30,7 @@ from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.trains.history.database import HistoryError, upsert
 from suspnet.trains.history.schema import (
     BadRow,
+    Condition,
     bad_row,
     check_types,
     curves,
@@ -59,7 +60,7 @@ Block = dict[str, NDArray[Any]]
 
 def comparable(
     references: Iterable[Commissioning], results: Sequence[TripResult]
-) -> tuple[sql.ColumnElement[bool], sql.ColumnElement[bool]]:
+) -> tuple[Condition, Condition]:
     """Return the conditions that a trip is comparable with `results`, and that it is not.
 
     A trip is if it is relative to one of `references`, has no estimate, or is of `results`. One
@@ -78,7 +79,7 @@ def comparable(
     return sql.and_(chosen, ~is_again), sql.and_(~chosen, ~is_again)
 
 
-def _is_relative_to(reference: Commissioning) -> sql.ColumnElement[bool]:
+def _is_relative_to(reference: Commissioning) -> Condition:
     healthy = {VALUES["healthy_si"].format(name): v for name, v in reference.healthy_si.items()}
     if not all(map(math.isfinite, healthy.values())):
         return sql.false()
@@ -86,7 +87,7 @@ def _is_relative_to(reference: Commissioning) -> sql.ColumnElement[bool]:
     return sql.and_(_is(trips.c.healthy_since_km, reference.since_km), *same)
 
 
-def _is(column: sql.Column[float], value: float) -> sql.ColumnElement[bool]:
+def _is(column: sql.Column[float], value: float) -> Condition:
     """Return the condition that a column has a value; NaN is NULL there."""
     return column.is_(None) if math.isnan(value) else column == value
 
@@ -95,7 +96,7 @@ def read_series(
     connection: Connection,
     bad: list[BadRow],
     keys: Collection[Key] | None = None,
-    where: sql.ColumnElement[bool] | None = None,
+    where: Condition | None = None,
 ) -> list[Series]:
     """Return the trips of each suspension, or of those in `keys`, sorted by vehicle and place.
 
@@ -136,7 +137,7 @@ def _read_block(
     chosen: list[int] | None,
     key_of: Mapping[int, Key],
     bad: list[BadRow],
-    where: sql.ColumnElement[bool] | None,
+    where: Condition | None,
 ) -> Block:
     special = {
         "flagged": sql.case((trips.c.flags == "", 0), else_=1),
@@ -262,9 +263,7 @@ def write_curves(
     upsert(connection, curves, rows)
 
 
-def read_responses(
-    connection: Connection, where: sql.ColumnElement[bool], name: str
-) -> list[TripResponses]:
+def read_responses(connection: Connection, where: Condition, name: str) -> list[TripResponses]:
     """Return the stored curves of the suspension selected by `where`, by mileage.
 
     HistoryError, whose message starts with `name`, is raised if they were altered.
@@ -272,11 +271,9 @@ def read_responses(
     # NullType returns a value of any type unchanged, so that it can be refused with a message
     arrays = sql.type_coerce(curves.c.arrays, sql.types.NullType())
     columns = trips.c.trip, trips.c.mileage_km, trips.c.start, arrays, curves.c.sha256
-    chosen = (
-        sql.select(*columns).join_from(curves, trips, _same_trip()).join(suspensions).where(where)
-    )
+    joined = sql.select(*columns).join_from(curves, trips, _same_trip()).join(suspensions)
     of_trips = []
-    for row in connection.execute(chosen).all():
+    for row in connection.execute(joined.where(where)).all():
         if not all(isinstance(value, kind) for value, kind in zip(row, ROW, strict=True)):
             raise HistoryError(at(name, "curves-damaged"))
         trip, mileage_km, start, content, sha256 = row
@@ -289,13 +286,11 @@ def read_responses(
         both = (2, *shapes.get("frequencies_hz", ()))
         if shapes != dict.fromkeys(NAMES, both) | {"frequencies_hz": both[1:]} or len(both) != 2:
             raise HistoryError(f"{subject} is damaged: it holds {shapes}")
-        responses = to_responses(stored.pop("real"), stored.pop("imaginary"))
-        of_trips.append(
-            TripResponses(trip, or_nan(mileage_km), start, responses=responses, **stored)
-        )
+        stored["responses"] = to_responses(stored.pop("real"), stored.pop("imaginary"))
+        of_trips.append(TripResponses(trip, or_nan(mileage_km), start, **stored))
     return sorted(of_trips, key=lambda curves: _order(curves.mileage_km, curves.start, curves.trip))
 
 
-def _same_trip() -> sql.ColumnElement[bool]:
+def _same_trip() -> Condition:
     is_same_suspension = curves.c.suspension_id == trips.c.suspension_id
     return sql.and_(is_same_suspension, curves.c.key == trips.c.key)

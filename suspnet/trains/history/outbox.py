@@ -26,6 +26,7 @@ from suspnet.ground.storage import content_hash, json_bytes
 from suspnet.trains.history.database import upsert
 from suspnet.trains.history.schema import (
     BadRow,
+    Condition,
     is_one_of,
     known_suspensions,
     or_null,
@@ -304,10 +305,8 @@ def _chosen(
     """Return the alarms to send at once and those of a digest, and note them as reported."""
     chosen = sql.select(told).where(told.c.recipient == recipient.name)
     reported = {
-        tuple(row[name] for name in OF): _Reported(
-            row["severity"], row["at_km"], bool(row["is_open"])
-        )
-        for row in connection.execute(chosen).mappings()
+        tuple(r[name] for name in OF): _Reported(r["severity"], r["at_km"], bool(r["is_open"]))
+        for r in connection.execute(chosen).mappings()
     }
     urgent: list[dict[str, Any]] = []
     listed: list[dict[str, Any]] = []
@@ -380,11 +379,11 @@ def _insert(
     return True
 
 
-def _waiting() -> sql.ColumnElement[bool]:
+def _waiting() -> Condition:
     return sql.and_(outbox.c.sent_s.is_(None), outbox.c.attempts < MOST_ATTEMPTS)
 
 
-def _due(now_s: float) -> sql.ColumnElement[bool]:
+def _due(now_s: float) -> Condition:
     """Return the condition that a message is to be sent now, and that no program sends it.
 
     A time further ahead than any wait was written before the clock was set back; it is over.

@@ -45,6 +45,7 @@ SCHEMA = 12  # version of the tables; a store of any other is refused
 
 metadata = sql.MetaData()
 Kind = type[sql.types.TypeEngine[Any]]
+Condition = sql.ColumnElement[bool]
 
 
 def _key(**kinds: Kind) -> list[Column[Any]]:
@@ -162,9 +163,7 @@ class BadRow:
         return Finding("bad-row", table=self.table, row=self.row, of=of, why=self.why)
 
 
-def bad_row(
-    table: sql.Table, row: RowMapping, error: Exception | str, key: Key | None = None
-) -> BadRow:
+def bad_row(table: Table, row: RowMapping, error: object, key: Key | None = None) -> BadRow:
     """Return the description of a row that `error` makes unreadable."""
     names = [column.name for column in table.primary_key.columns if column.name in row]
     words = ", ".join(f"{name}={str(row[name])[:40]}" for name in names)
@@ -227,9 +226,7 @@ TABLES: dict[type, sql.Table] = {Event: events, Alarm: alarms, Acknowledgement: 
 
 
 def known_suspensions(
-    connection: Connection,
-    where: sql.ColumnElement[bool] | None = None,
-    bad: list[BadRow] | None = None,
+    connection: Connection, where: Condition | None = None, bad: list[BadRow] | None = None
 ) -> dict[int, tuple[Key, int]]:
     """Return key and revision of each suspension, or of those selected by `where`, by number.
 
@@ -246,7 +243,7 @@ def known_suspensions(
     return by_number
 
 
-def is_one_of(column: sql.Column[int], ids: Iterable[int]) -> sql.ColumnElement[bool]:
+def is_one_of(column: sql.Column[int], ids: Iterable[int]) -> Condition:
     """Return the condition that a column is one of `ids`, of which there may be many."""
     # literals, because databases limit the number of bound parameters
     wanted: sql.BindParameter[list[int]] = sql.bindparam(
@@ -255,17 +252,14 @@ def is_one_of(column: sql.Column[int], ids: Iterable[int]) -> sql.ColumnElement[
     return column.in_(wanted)
 
 
-def is_of(vehicle: str, place: Place) -> sql.ColumnElement[bool]:
+def is_of(vehicle: str, place: Place) -> Condition:
     """Return the condition that selects a suspension."""
     wanted = asdict(place) | {"vehicle": vehicle}
     return sql.and_(*(suspensions.c[name] == value for name, value in wanted.items()))
 
 
 def read_stored(
-    connection: Connection,
-    kind: type[Stored],
-    bad: list[BadRow],
-    where: sql.ColumnElement[bool] | None = None,
+    connection: Connection, kind: type[Stored], bad: list[BadRow], where: Condition | None = None
 ) -> dict[Key, list[Stored]]:
     """Return the objects of one class of each suspension, or of those selected by `where`.
 
@@ -288,9 +282,7 @@ def read_stored(
             continue
         try:
             check_types(table, row)
-            values: dict[str, Any] = {
-                name: math.nan if row[name] is None else row[name] for name in names
-            }
+            values: dict[str, Any] = {n: math.nan if row[n] is None else row[n] for n in names}
             if kind is Alarm:
                 values["words"] = restored(values["words"])
             of_key.setdefault(key, []).append(kind(**values))

@@ -39,6 +39,7 @@ from suspnet.trains.history.outbox import Outbox
 from suspnet.trains.history.schema import (
     TABLES,
     BadRow,
+    Condition,
     Stored,
     alarms,
     bad_row,
@@ -60,7 +61,7 @@ from suspnet.trains.maintenance.series import Event, Series
 TRIP_COLUMNS = [column for column in trips.columns if column.name != "key"]
 
 
-class History:
+class History(AbstractContextManager["History"]):
     """Trips of all suspensions with their estimates and alarms, maintenance and acknowledgements.
 
     Several programs may read and write concurrently. A missing or empty file becomes a new store;
@@ -101,9 +102,6 @@ class History:
         if self._url.get_backend_name() == "sqlite":
             return str(self._url.database)
         return self._url.render_as_string(hide_password=True)
-
-    def __enter__(self) -> History:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -249,9 +247,7 @@ class History:
                 number: [row_of_stored(number, alarm) for alarm in of_each[key]]
                 for key, number in ids.items()
             }
-            changed = [
-                n for n, alarm_rows in rows.items() if _by_key(alarm_rows) != _by_key(before[n])
-            ]
+            changed = [n for n, new in rows.items() if _by_key(new) != _by_key(before[n])]
             _raise_revisions(connection, changed)
             connection.execute(alarms.delete().where(is_one_of(alarms.c.suspension_id, changed)))
             upsert(connection, alarms, [row for number in changed for row in rows[number]])
@@ -276,9 +272,7 @@ class History:
         """Return the acknowledgements of each suspension that has any."""
         return self._read(Acknowledgement)
 
-    def _read(
-        self, kind: type[Stored], where: sql.ColumnElement[bool] | None = None
-    ) -> dict[Key, list[Stored]]:
+    def _read(self, kind: type[Stored], where: Condition | None = None) -> dict[Key, list[Stored]]:
         with self._reading() as connection:
             return read_stored(connection, kind, self.bad_rows, where)
 

@@ -239,9 +239,8 @@ def _fitted(middles_s: FloatArray, delays_s: FloatArray, classes: IntArray) -> D
         # fit each regressor alone; compare the drift with the best jump
         power = np.einsum("ij,ij->j", regressors, regressors)
         is_determined = power > 1e-6 * len(at)
-        slopes = np.divide(
-            regressors.T @ target, power, out=np.zeros(len(power)), where=is_determined
-        )
+        shared, zeros = regressors.T @ target, np.zeros(len(power))
+        slopes = np.divide(shared, power, out=zeros, where=is_determined)
         explained = slopes**2 * power
         best = 1 + int(np.argmax(explained[1:]))
         misfits = np.maximum(target @ target - explained[[0, best]], 0.0)

@@ -286,13 +286,8 @@ def _table(lines: Sequence[str], way: Dialect, stated: CsvDialect) -> Dialect | 
         return None  # the numbers of names and columns differ
     names = [name or f"column_{i + 1}" for i, name in enumerate(names)]
     units = [unit.strip("[]() ") for unit in units or map(unit_in_name, names)]
-    return replace(
-        way,
-        header_line=header + 1,
-        first_line=first + 1,
-        names=_distinct(names),
-        units=tuple(units),
-    )
+    way = replace(way, header_line=header + 1, first_line=first + 1)
+    return replace(way, names=_distinct(names), units=tuple(units))
 
 
 def _names(

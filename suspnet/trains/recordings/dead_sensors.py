@@ -69,10 +69,8 @@ def living(
     dead = {name: error for name, error in refused.items() if isinstance(error, DeadSensorError)}
     enough = len(readers) - len(dead) >= LEAST_SENSORS
     spared = [name for name in dead if enough or partner_of(name) not in ("", *dead)]
-    faults = [
-        words for name, error in refused.items() if name not in spared for words in error.problems
-    ]
-    if every := dict.fromkeys([*problems, *faults]):
+    faults = [error.problems for name, error in refused.items() if name not in spared]
+    if every := dict.fromkeys(itertools.chain(problems, *faults)):
         raise TripError(*every)
     return signals, {name: error.reason for name, error in dead.items()}
 

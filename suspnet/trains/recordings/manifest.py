@@ -117,6 +117,12 @@ def _check_first_axle(value: Value, sources: Several | None) -> None:
         raise TripError.at(value.path, "axle-2-only", name=value.name, least_sensors=LEAST_SENSORS)
 
 
+_lowest, _highest = TEMPERATURES_C
+_temperature = check.number(
+    Finding("number-between", temperatures_c=_lowest, temperatures_c2=_highest), *TEMPERATURES_C
+)
+
+
 def _mileage(value: Value) -> float:
     mileage = check.number("a number >= 0", 0.0)(value)
     if mileage > HIGHEST_KM:
@@ -181,14 +187,7 @@ class TripManifest:
         default="by the files",
     )
     temperature_c: float | None = optional(
-        check.number(
-            Finding(
-                "number-between",
-                temperatures_c=TEMPERATURES_C[0],
-                temperatures_c2=TEMPERATURES_C[1],
-            ),
-            *TEMPERATURES_C,
-        ),
+        _temperature,
         "number, -60 to 60",
         "outside air temperature; damping is compared at that of the healthy trips",
         "°C",
@@ -255,9 +254,7 @@ class TripManifest:
         for channel, sources in self.channels.items():
             for is_elsewhere in (False, True):
                 place = f"{channel} {OTHER_AXLE}" if is_elsewhere else channel
-                both = [
-                    sensor for sensor in _as_several(sources) if sensor.is_elsewhere == is_elsewhere
-                ]
+                both = [s for s in _as_several(sources) if s.is_elsewhere == is_elsewhere]
                 if len(both) == 1:
                     sensors[place] = both[0]
                 else:
@@ -278,9 +275,8 @@ class TripManifest:
         return self.path.parent / source.file
 
 
-MANIFEST = {"format": ManifestKey(check.one_of([FORMAT]), "text", f"`{FORMAT}`")} | keys_of(
-    TripManifest
-)
+_FORMAT = ManifestKey(check.one_of([FORMAT]), "text", f"`{FORMAT}`")
+MANIFEST = {"format": _FORMAT} | keys_of(TripManifest)
 """All keys of a manifest, by name."""
 
 

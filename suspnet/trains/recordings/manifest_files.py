@@ -45,10 +45,9 @@ class ManifestFile:
     @cached_property
     def content(self) -> Any:
         """Unchecked content of the YAML file; TripError if it is not YAML."""
+        data = self.data
         try:
-            return parse_yaml(self.data.decode("utf-8-sig"), NAMES)
-        except TripError:
-            raise
+            return parse_yaml(data.decode("utf-8-sig"), NAMES)
         except ValueError as error:
             raise TripError.at(self.path, "invalid-yaml", error=error) from error
 

@@ -120,11 +120,7 @@ def optional(*arguments: Any, value: Any = None, **named: Any) -> Any:
 
 def keys_of(kind: type) -> dict[str, ManifestKey]:
     """Return the keys of the mapping from which a dataclass is read."""
-    return {
-        declared.name: declared.metadata["key"]
-        for declared in fields(kind)
-        if "key" in declared.metadata
-    }
+    return {f.name: f.metadata["key"] for f in fields(kind) if "key" in f.metadata}
 
 
 # checks
@@ -202,13 +198,12 @@ def start(value: Value) -> datetime:
 
 def zone(value: Value) -> str:
     """Return the name of a known time zone."""
+    name = text(value)
     try:
-        time_zone(text(value))
-    except TripError:
-        raise
+        time_zone(name)
     except ValueError as error:
         raise value.refuse('one like "UTC", "+02:00" or "Europe/Berlin"') from error
-    return str(value.content)
+    return name
 
 
 def header_line(value: Value) -> int:

@@ -118,10 +118,7 @@ class _Variable:
 
 
 def array_file(
-    path: Path,
-    arrays: Mapping[str, Any],
-    notes: Mapping[str, Mapping[str, Any]],
-    refused: Mapping[str, str],
+    path: Path, arrays: dict[str, Any], notes: dict[str, dict[str, Any]], refused: dict[str, str]
 ) -> OpenFile:
     """Return arrays by name as a file; a matrix has a column ``name[i]`` for each of its own."""
     columns = [Column(name, unread=why) for name, why in refused.items()]

@@ -52,12 +52,8 @@ PASSED = re.compile(
     r"|(LC|PYTHON|MKL|NPY|MALLOC)_?\w+"
 )
 """Environment variables that reader processes get: none with a secret."""
-ENVIRONMENT = {
-    "OPENBLAS_NUM_THREADS": "1",
-    "NUMEXPR_NUM_THREADS": "1",
-    "HDF5_PLUGIN_PRELOAD": "::",  # HDF5 loads no filter plug-ins
-}
-"""Environment variables of reader processes, in addition."""
+ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1", "NUMEXPR_NUM_THREADS": "1", "HDF5_PLUGIN_PRELOAD": "::"}
+"""Environment variables of reader processes, in addition; HDF5 then loads no filter plug-ins."""
 
 SERVER_CODE = "from suspnet.trains.recordings.reader_server import serve; serve()"
 

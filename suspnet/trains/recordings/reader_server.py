@@ -9,6 +9,7 @@ import ctypes
 import importlib
 import json
 import os
+import resource
 import signal
 import socket
 import struct
@@ -148,13 +149,6 @@ def _pieces(blocks: Iterator[Block]) -> Iterator[Block]:
             yield tuple(array[start : start + most] for array in block)
 
 
-try:
-    import resource
-except ImportError:  # not a POSIX system
-    HAS_LIMITS = False
-else:
-    HAS_LIMITS = True
-
 MOST_DESCRIPTORS = 64  # largest number of files that a reader may have open
 _READ_FILE, _READ_DIR = 1 << 2, 1 << 3
 _FS_RIGHTS = {1: 13, 2: 14, 3: 15, 5: 16}
@@ -209,8 +203,6 @@ def _code_folders() -> list[str]:
 
 def _limit(memory_bytes: int) -> bool:
     """Limit open files, forbid that files grow and cores are dumped; return whether memory is."""
-    if not HAS_LIMITS:
-        return False
     bounds = {resource.RLIMIT_FSIZE: 0, resource.RLIMIT_CORE: 0}
     bounds[resource.RLIMIT_NOFILE] = MOST_DESCRIPTORS
     with suppress(OSError, ValueError):  # without /proc the memory in use is not known

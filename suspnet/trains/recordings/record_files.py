@@ -37,12 +37,10 @@ def open_uff(path: Path) -> Iterator[OpenFile]:
             is_times = name not in records
             record = file.read_sets(records[name.removesuffix(": times")])
             values = np.asarray(record["x" if is_times else "data"]).ravel()
-            n, n_values = int(record["num_pts"]), len(values)
-            if n_values < n:
-                column = repr(name)
-                raise TripError.at(
-                    path, "column-cut-off", name=column, n_declared=n, n_values=n_values
-                )
+            n = int(record["num_pts"])
+            if len(values) < n:
+                sizes = {"n_declared": n, "n_values": len(values)}
+                raise TripError.at(path, "column-cut-off", name=repr(name), **sizes)
             takes[name] = n, values.__getitem__  # what follows fills up a line
         return slices(path, names, takes)
 

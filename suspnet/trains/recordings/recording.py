@@ -84,11 +84,8 @@ class Recording(ShortRepr):
 
         For a pair of sensors, (left + right) / 2. NaN without a living sensor at axle 1.
         """
-        nothing = np.full(len(self.usable), np.nan)
-        places = self._places
-        return np.stack(
-            [np.mean([*sides.values()], axis=0) if sides else nothing for sides in places]
-        )
+        nothing = [np.full(len(self.usable), np.nan)]
+        return np.stack([np.mean([*s.values()] or nothing, axis=0) for s in self._places])
 
     @property
     def paired(self) -> tuple[bool, bool, bool]:
@@ -121,9 +118,8 @@ class Recording(ShortRepr):
 
     def sensors(self) -> dict[str, FloatArray]:
         """Return `values`, those of the bogie's other axle last."""
-        return {name: signal for sides in self._places for name, signal in sides.items()} | (
-            self.elsewhere
-        )
+        placed = {name: signal for sides in self._places for name, signal in sides.items()}
+        return placed | self.elsewhere
 
     @property
     def absent(self) -> tuple[str, ...]:
@@ -256,11 +252,9 @@ def _clocks(
     return track, offsets_s(manifest, zeros), first_moment(zeros.values())
 
 
-def _read_sensor(
-    manifest: TripManifest, name: str, offset_s: float, wanted_hz: float
-) -> SensorSignal:
-    where, channel = manifest.where(name), manifest.sensors()[name]
-    with open_source(manifest, channel, where) as source:
+def _read_sensor(trip: TripManifest, name: str, offset_s: float, wanted_hz: float) -> SensorSignal:
+    where, channel = trip.where(name), trip.sensors()[name]
+    with open_source(trip, channel, where) as source:
         blocks = source.even(PASS * wanted_hz)
         first_block = next(blocks)  # read first: time stamps then give the approximate rate
         rate_hz = source.known_rate_hz
@@ -283,15 +277,13 @@ def _common(
 ) -> tuple[int, int]:
     common_s = min(s.end_s for s in streams) - max(s.start_s for s in streams)
     if common_s < manifest.shortest_s - 1 / rate_hz:
-        spans = together(
-            (
-                Finding("stream-between", name=s.name, start_s=s.start_s, end_s=s.end_s)
-                for s in streams
-            ),
-            ", ",
-        )
         times = {"common_s": max(common_s, 0.0), "shortest_s": manifest.shortest_s}
-        raise TripError.at(manifest.path, "too-little-in-common", **times, spans=spans)
+        spans = [
+            Finding("stream-between", name=s.name, start_s=s.start_s, end_s=s.end_s)
+            for s in streams
+        ]
+        values = times | {"spans": together(spans, ", ")}
+        raise TripError.at(manifest.path, "too-little-in-common", **values)
     first = max(stream.first for stream in streams)
     return first, min(stream.first + len(stream.values) for stream in streams) - 1
 

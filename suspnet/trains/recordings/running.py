@@ -240,13 +240,8 @@ class Running:
     def identity(self) -> list[Any]:
         """Values that a state must share with the recording that continues it."""
         sensors = {
-            name: [
-                source.unit,
-                source.rate_hz,
-                getattr(source, "sign", 1),
-                getattr(source, "range", None),
-            ]
-            for name, source in self._sources.items()
+            name: [s.unit, s.rate_hz, getattr(s, "sign", 1), getattr(s, "range", None)]
+            for name, s in self._sources.items()
         }
         settings = [self.rate_hz, self.longest_s, self.before_s, asdict(self.order)]
         return [self._name, self.zero_ns, sensors, *settings]

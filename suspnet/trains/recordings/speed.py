@@ -38,6 +38,7 @@ or accelerating trains have few, white noise two of three."""
 COARSE = 5.0
 """Least median difference of successive steps, in units of the receiver's resolution, for noise to
 prevent equal speeds: a standard deviation of twice the resolution."""
+Timed = tuple[FloatArray, FloatArray]  # times [s] and speeds
 LEAST_CHANCE, LEAST_STEPS = 1e-9, 30
 """Probability of a run of equal speeds below which a noisy receiver is stuck, and least number of
 other steps from which its noise is estimated."""
@@ -195,7 +196,7 @@ def _lost_rows(known_s: FloatArray, inside: BoolArray, step_s: float) -> Iterato
             yield Fault("speed", "gap", n_samples, n_samples * step_s, first_s, repaired)
 
 
-def _timed(file: OpenSource, where: str) -> Iterator[tuple[FloatArray, FloatArray]]:
+def _timed(file: OpenSource, where: str) -> Iterator[Timed]:
     """Yield times [s] and speeds; TripError if times do not rise or contradict the rate."""
     last_s: float | None = None
     n_before = 0
@@ -213,9 +214,7 @@ def _timed(file: OpenSource, where: str) -> Iterator[tuple[FloatArray, FloatArra
         yield seconds, speeds
 
 
-def _thinned(
-    blocks: Iterable[tuple[FloatArray, FloatArray]],
-) -> Iterator[tuple[FloatArray, FloatArray]]:
+def _thinned(blocks: Iterable[Timed]) -> Iterator[Timed]:
     """Yield blocks of times and speeds, averaged to about ``HIGHEST_RATE_HZ`` if faster."""
     for seconds, speeds in blocks:
         steps = np.diff(seconds)

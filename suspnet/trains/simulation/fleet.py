@@ -154,9 +154,8 @@ class Scenario:
         check_settings(self, "scenario")
         if not self.mass_low <= self.mass_high:
             raise ValueError(f"need mass_low <= mass_high, got {self.mass_low}, {self.mass_high}")
-        if not all(
-            isinstance(change, Mapping) for change in (self.changes, *self.changes.values())
-        ):
+        mappings = self.changes, *self.changes.values()
+        if not all(isinstance(change, Mapping) for change in mappings):
             raise TypeError(f"`scenario.changes` must be a mapping of mappings: {self.changes!r}")
         for name, change in self.changes.items():
             if name not in ESTIMATED:
@@ -196,10 +195,8 @@ class Scenario:
             start, end = change["from_km"], change["to_km"]
             span = end - start
             after = mileage_km > end if span == 0 else np.clip((mileage_km - start) / span, 0, 1)
-            wearing = [
-                i for i, output in enumerate(self.outputs) if name in (output, kind_of(output))
-            ]
-            ratios[:, wearing] *= (1 + (change["ratio"] - 1) * after)[:, None]
+            worn = [i for i, output in enumerate(self.outputs) if name in (output, kind_of(output))]
+            ratios[:, worn] *= (1 + (change["ratio"] - 1) * after)[:, None]
         return ratios
 
 

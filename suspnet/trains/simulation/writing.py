@@ -1,6 +1,5 @@
 """Simulated trips: track and journey -> motion of a vehicle -> sensors -> files with a manifest."""
 
-import functools
 import io
 import json
 import math
@@ -8,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import timedelta
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -122,9 +122,7 @@ def write_fleet(
     }
     if aboard is not None:
         truth |= {"place": asdict(aboard.place(fleet.suspension)), "scenario": scenario.name}
-    write = functools.partial(
-        _write_trip, fleet=fleet, generator=generator, seed=seed, aboard=aboard
-    )
+    write = partial(_write_trip, fleet=fleet, generator=generator, seed=seed, aboard=aboard)
     with own_folder(folder):
         paths = [folder / f"{_name(i)}.yaml" for i in range(fleet.n_trips)]
         # a trip that lost a file is written again, as is one that was interrupted
@@ -154,7 +152,7 @@ def write_trains(
     """
     suspensions = trains.suspensions(simulation.seed)
     made_from = simulation.made_from(trains)
-    write = functools.partial(_write_suspension, simulation=simulation)
+    write = partial(_write_suspension, simulation=simulation)
     truth = {
         **asdict(trains),
         "seed": simulation.seed,
@@ -163,9 +161,7 @@ def write_trains(
         "suspensions": [suspension.name for suspension in suspensions],
     }
     with own_folder(folder):
-        missing = [
-            suspension for suspension in suspensions if not is_finished(folder / suspension.name)
-        ]
+        missing = [own for own in suspensions if not is_finished(folder / own.name)]
         with unfinished(folder, made_from, trains.n_all, len(missing), "suspensions"):
             jobs = ((folder, suspension) for suspension in missing)
             n_trips = len(missing) * simulation.fleet.n_trips
