@@ -124,11 +124,8 @@ def _write(paths: Sequence[Path], settings: Sequence[str], arguments: Namespace)
             print(f"-> {table}: fill in its columns, then run the same command again")
         right = [word for word in settings if not (wrong and word.startswith("vehicle="))]
         again = f"{command('init', *paths, *right)} KEY=VALUE ... {printable(join(options))}"
-        print(
-            *([] if is_rig else _assumed(new)),
-            f"say each once for all trips: {again.rstrip()}",
-            sep="\n",
-        )
+        said_once = f"say each once for all trips: {again.rstrip()}"
+        print(*([] if is_rig else _assumed(new)), said_once, sep="\n")
         return 1
     for trip in new:
         write_atomically(trip.path, trip.text)

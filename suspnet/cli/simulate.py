@@ -62,12 +62,6 @@ def _log_trains(config: DictConfig, trains: Trains, folder: Path) -> None:
     wearing = [own.name for own in trains.suspensions(config.seed) if own.wears]
     log.info(
         "%d suspensions (trains=%d, cars=%d) of %d trips each in %s\n%d wear, scenario %s: %s",
-        trains.n_all,
-        trains.trains,
-        trains.cars or 1,
-        config.fleet.n_trips,
-        folder,
-        len(wearing),
-        config.scenario.name,
-        ", ".join(wearing) or "none",
+        *(trains.n_all, trains.trains, trains.cars or 1, config.fleet.n_trips, folder),
+        *(len(wearing), config.scenario.name, ", ".join(wearing) or "none"),
     )

@@ -56,14 +56,8 @@ class EstimateObserver:
         self._is_nominal = relative is None
         self._correlating = moving_average_with(settings.welch.correlation().numpy())
         self._left_out = torch.zeros(len(self.frequencies_hz), dtype=torch.bool)
-        self.mean = ExpectedSpectra(
-            generator,
-            settings.welch,
-            self.frequencies_hz,
-            track_spectrum(settings.track),
-            settings.speed_m_per_s,
-            relative,
-        )
+        how = settings.welch, self.frequencies_hz, track_spectrum(settings.track)
+        self.mean = ExpectedSpectra(generator, *how, settings.speed_m_per_s, relative)
 
     def at(self, speeds: Speeds) -> EstimateObserver:
         """Return the observer of a trip at other speeds, with the noise of the nominal one."""

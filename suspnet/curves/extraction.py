@@ -248,11 +248,5 @@ class PeakFeatures(FeatureSet):
         if self.shape == "gaussian":
             below, above = min(below, GAUSSIAN_WINDOW), min(above, GAUSSIAN_WINDOW)
         tilt = UPPER_PEAK_TILT if name == "primary_upper" else 0.0
-        return PeakFit(
-            self.shape,
-            self.smoothing_hz,
-            self.window * below,
-            self.window * above,
-            tilt,
-            top=self.window * PeakFit.top,
-        )
+        window = self.window * below, self.window * above
+        return PeakFit(self.shape, self.smoothing_hz, *window, tilt, top=self.window * PeakFit.top)

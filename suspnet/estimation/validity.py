@@ -162,12 +162,11 @@ def _check_bogie(model: BogieModel) -> None:
         raise ValueError("`generator` of a bogie must be a vertical vehicle")
     if not isinstance(model.settings, EstimateSettings):
         raise ValueError("`settings` of a bogie must be those of trips")
-    assert bogie.generator.sensors is not None
     if bogie.generator.vehicle != model.vehicle:
         raise ValueError("`bogie.generator.vehicle` must be the model's vehicle")
     if bogie.generator.distribution is None:
         raise ValueError("`bogie.generator.distribution` is missing")
-    _check_vector("bogie.noise", bogie.noise.numpy(), len(bogie.generator.sensors))
+    _check_vector("bogie.noise", bogie.noise.numpy(), len(bogie.generator.places))
     _check_vector("bogie.masses", bogie.masses, len(bogie.masses))
     for name, values in (("noise", bogie.noise.numpy()), ("masses", bogie.masses)):
         if not (values > 0).all():

@@ -239,17 +239,9 @@ class MVGPR(Regressor):
         lows, highs = np.log(list(START_RANGES.values())).T
         starts += [random.uniform(lows, highs) for _ in range(self.n_restarts)]
         bounds = np.log(list(BOUNDS.values()))
-        runs = [
-            minimize(
-                negative,
-                np.clip(start, bounds[:, 0], bounds[:, 1]),
-                jac=True,
-                method="L-BFGS-B",
-                bounds=bounds,
-                options={"maxiter": self.max_iter},
-            )
-            for start in starts
-        ]
+        how: dict[str, Any] = {"jac": True, "method": "L-BFGS-B", "bounds": bounds}
+        how["options"] = {"maxiter": self.max_iter}
+        runs = [minimize(negative, np.clip(start, *bounds.T), **how) for start in starts]
         best = min(runs, key=lambda run: run.fun)
         self.converged_, self.n_iter_ = bool(best.success), max(1, int(best.nit))
         self.length_scale_, noise = map(float, np.exp(best.x))

@@ -112,9 +112,7 @@ def _rms_ratio(task: Task, outcome: Outcome, bounds: FloatArray) -> dict[str, fl
             log.warning(
                 "%s: rms error %.3g %% lies below the bound of %.3g %% by more than chance "
                 "explains; are test curves also used in the training?",
-                name,
-                100 * error[j],
-                100 * least[j],
+                *(name, 100 * error[j], 100 * least[j]),
             )
     return dict(zip(task.outputs, over_bound(error, least).tolist(), strict=True))
 
@@ -153,16 +151,8 @@ def report(metrics: Metrics, folder: Path) -> None:
     log.info(
         "%s on protocol %s, group %s: %d test curves at %g dB (%d more discarded: a peak is "
         "missing), %.1f s to fit and predict\n%s%s\n-> %s",
-        metrics["model"],
-        metrics["protocol"],
-        metrics["group"],
-        metrics["n_test_complete"],
-        metrics["snr_db"],
-        missing,
-        metrics["seconds"],
-        scores_table(metrics),
-        _trust(metrics),
-        folder,
+        *(metrics[key] for key in ("model", "protocol", "group", "n_test_complete", "snr_db")),
+        *(missing, metrics["seconds"], scores_table(metrics), _trust(metrics), folder),
     )
 
 

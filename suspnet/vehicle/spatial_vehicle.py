@@ -119,8 +119,8 @@ class SpatialVehicle(VehicleFamily):
 
     @cached_property
     def quantities(self) -> tuple[Quantity, ...]:  # noqa: D102
-        measuring = {f"{kind}_{place}" for kind in ("gain", "delay") for place in self._places[1:]}
-        measuring |= {f"cross_axis_{place}" for place in self._places}
+        measuring = {f"{kind}_{place}" for kind in ("gain", "delay") for place in self.places[1:]}
+        measuring |= {f"cross_axis_{place}" for place in self.places}
         measuring |= {
             f"floor_{kind}_{place}"
             for kind in ("mass", "softness", "damping")
@@ -140,12 +140,12 @@ class SpatialVehicle(VehicleFamily):
     @property
     def in_middle(self) -> bool:
         """Whether all sensors are in the middle: they measure the mean of both rails alone."""
-        return all(place.endswith("_middle") for place in self._places)
+        return all(place.endswith("_middle") for place in self.places)
 
     @property
     def shows_parts(self) -> bool:
         """Whether the sensors show each spring and damper; else all of a kind are equal."""
-        return show_parts(self._places)
+        return show_parts(self.places)
 
     def seen_prior(self) -> Self:
         """Return the vehicle with its prior, without numbers that no sensor in the middle sees."""
@@ -161,13 +161,14 @@ class SpatialVehicle(VehicleFamily):
         return (*self.parts, "lateral") if is_lateral(self.parts) else self.parts
 
     @property
-    def _places(self) -> tuple[str, ...]:
+    def places(self) -> tuple[str, ...]:
+        """Places of the sensors."""
         assert self.sensors is not None
         return self.sensors
 
     @property
     def _on_body(self) -> tuple[str, ...]:
-        return tuple(place for place in self._places if place.startswith("body"))
+        return tuple(place for place in self.places if place.startswith("body"))
 
     @property
     def _layout(self) -> Layout:
@@ -193,7 +194,7 @@ class SpatialVehicle(VehicleFamily):
         and finite (not above -1 for numbers that may be absent), or if a frequency is not.
         """
         rows, omega = self._rows(ratios), self._bins(frequencies_hz)
-        return responses(self._layout, self._in_si, self._places, rows, omega)
+        return responses(self._layout, self._in_si, self.places, rows, omega)
 
     def channels_alone(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> Tensor:
         """Return the response of each sensor to each input of the track under one wheelset alone.
@@ -203,7 +204,7 @@ class SpatialVehicle(VehicleFamily):
         over wheelsets with their delays. ValueError as of `channels`.
         """
         rows, omega = self._rows(ratios), self._bins(frequencies_hz)
-        return alone_responses(self._layout, self._in_si, self._places, rows, omega)
+        return alone_responses(self._layout, self._in_si, self.places, rows, omega)
 
     def strokes(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> Tensor:
         """Return the stroke of each damper of the measured bogie for each input, metre per metre.
@@ -213,7 +214,7 @@ class SpatialVehicle(VehicleFamily):
         """
         rows, omega = self._rows(ratios), self._bins(frequencies_hz)
         dampers = [name for name in BOGIE_PARTS if name.startswith("c_")]
-        return strokes(self._layout, self._in_si, self._places, rows, omega, dampers)
+        return strokes(self._layout, self._in_si, self.places, rows, omega, dampers)
 
     def channels_along(
         self,
@@ -239,7 +240,7 @@ class SpatialVehicle(VehicleFamily):
         for row in rows:
             sizes = torch.where(used, row + self.offsets.to(rows), 0.0)
             response, by_column = derivatives(
-                self._layout, self._in_si, self._places, row, omega, sizes
+                self._layout, self._in_si, self.places, row, omega, sizes
             )
             channels.append(response)
             slopes.append(torch.tensordot(along[:, sizes != 0].to(response), by_column, 1))
@@ -252,7 +253,7 @@ class SpatialVehicle(VehicleFamily):
         `inputs` has it, its alignment [m]; the outputs are the sensors. Sensitivity and delay of
         sensors, and what excites single wheelsets, are no part of it.
         """
-        return spatial_motion(self._layout, self._numbers(as_tensor(ratios)[None]), self._places)
+        return spatial_motion(self._layout, self._numbers(as_tensor(ratios)[None]), self.places)
 
     def _bins(self, frequencies_hz: ArrayLike) -> Tensor:
         omega = angular(frequencies_hz, self.device)

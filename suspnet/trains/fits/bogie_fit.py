@@ -137,9 +137,8 @@ def fit_parts(
     explain the trip, it starts from the healthy vehicle in bands that widen. ValueError if the trip
     has another number of sensors.
     """
-    assert bogie.generator.sensors is not None
     equal = not bogie.generator.shows_parts if equal is None else equal
-    noise = bogie.noise[trip.kept(bogie.generator.sensors)]
+    noise = bogie.noise[trip.kept(bogie.generator.places)]
     # far from the healthy trips' mass, as by a wrong one on the drawing, valleys differ
     mass = float(np.exp(np.log(bogie.masses).mean()))
     ties = EQUAL if equal else SEPARATE
@@ -151,7 +150,7 @@ def fit_parts(
         errors=bogie.errors,
     )
     law = bogie.law or SuspensionLaw(None)  # no condition is known to it
-    conditions = law.conditions(temperature_c, trip.damper_speeds(bogie.generator.sensors))
+    conditions = law.conditions(temperature_c, trip.damper_speeds(bogie.generator.places))
     fit = replace(fit, conditions=conditions[None], slopes=np.array(law.slopes))
     near, first = (fit.start(), 0) if start is None else (nearer_start(fit, start), 2)
     end = narrowed(fit, near, first).finished(NEARLY_EXPLAINED * EXPLAINED)
@@ -197,7 +196,7 @@ def wear_errors(
     Then what of each is there only if the part itself has worn. All is as of `beyond_noise`.
     """
     are_kinds, wear = len(logs) == len(PARAMETERS), np.abs(logs[:-1])
-    n_sensors = n_sensors or len(bogie.generator.sensors or ())
+    n_sensors = n_sensors or len(bogie.generator.places)
     is_few = are_kinds or n_sensors < LEAST_SENSORS
     names = PARAMETERS[:-1] if are_kinds else BOGIE_PARTS
     sizes = np.array([(SENSITIVITY_OF_FEW if is_few else SENSITIVITY)[kind_of(n)] for n in names])
@@ -259,9 +258,8 @@ def commission_bogie(
         raise ValueError(f"{len(trips)} healthy trips are given, at least {LEAST_TRIPS} are needed")
     if lost := sorted({name for trip in trips for name in trip.lost}):
         raise ValueError(f"healthy trips need all sensors, one has none at {', '.join(lost)}")
-    assert generator.sensors is not None
     celsius = temperatures_c or [None] * len(trips)
-    speeds = [trip.damper_speeds(generator.sensors) for trip in trips]
+    speeds = [trip.damper_speeds(generator.places) for trip in trips]
     law = SuspensionLaw.of_trips(celsius, speeds)
     conditions = [law.conditions(*of) for of in zip(celsius, speeds, strict=True)]
     fit = healthy_misfit(generator, trips, np.array(conditions))

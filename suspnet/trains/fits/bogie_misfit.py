@@ -105,26 +105,21 @@ class BogieMisfit:
             if len(bins[0]) != len(bins[1]) or not torch.allclose(*bins, rtol=0, atol=1e-9):
                 raise ValueError("the trips must have the same bins")
             if trip.spectra.values.shape != (len(self.frequencies_hz), n, n):
+                names = ", ".join(self.generator.places[i] for i in self.sensors_of(trip))
                 raise ValueError(
                     f"the spectra must be {n} x {n} on {len(self.frequencies_hz)} bins for the "
-                    f"sensors {', '.join(self._sensors[i] for i in self.sensors_of(trip))}, got "
-                    f"{tuple(trip.spectra.values.shape)}"
+                    f"sensors {names}, got {tuple(trip.spectra.values.shape)}"
                 )
 
-        shape = (len(self.frequencies_hz), len(self._sensors))
+        shape = (len(self.frequencies_hz), len(self.generator.places))
         if self.errors is not None and self.errors.shape != shape:
             raise ValueError(
                 f"the vehicle's errors are of {len(self.errors)} bins, the trips have {shape[0]}"
             )
 
-    @property
-    def _sensors(self) -> tuple[str, ...]:
-        assert self.generator.sensors is not None
-        return self.generator.sensors
-
     def sensors_of(self, trip: BogieTrip) -> list[int]:
         """Return the numbers of the vehicle's sensors that a trip has."""
-        return trip.kept(self._sensors)
+        return trip.kept(self.generator.places)
 
     @property
     def frequencies_hz(self) -> Tensor:
@@ -321,16 +316,13 @@ class BogieMisfit:
             start = noise if noise.ndim == 1 else smallest_noise(trip.spectra)
             bins = trip.of(self.all_bins)
             responses = self.responses(x, i, bins)
+            spectra = trip.spectra.at(bins)
             if self.is_matched:
-                at_bins = matched_noise(trip.spectra.at(bins), responses, start)
+                at_bins = matched_noise(spectra, responses, start)
             else:
                 at_bins = trip_noise(
-                    trip.spectra.at(bins),
-                    responses,
-                    self._alone(x, i, bins),
-                    start,
-                    self._leakage(x, i, responses),
-                    self._forces(x, i),
+                    *(spectra, responses, self._alone(x, i, bins), start),
+                    *(self._leakage(x, i, responses), self._forces(x, i)),
                 )
             # bins that are left out have any noise
             matrix = torch.diag(at_bins.densities).to(at_bins.matrix)
@@ -409,7 +401,7 @@ class BogieMisfit:
             responses = responses.permute(2, 1, 0)
             values = responses @ inputs @ responses.mH
             expected = replace(trip, spectra=replace(trip.spectra, values=values))
-            pairs = np.nan_to_num(np.log(expected.damper_speeds(self._sensors)))
+            pairs = np.nan_to_num(np.log(expected.damper_speeds(self.generator.places)))
             strokes = self._of(trip).strokes(self._rows(at, 0), self.frequencies_hz)
             strokes = self._on_rails(at, 0, strokes[0, self._inputs]).permute(2, 1, 0)
             power = (strokes @ inputs * strokes.conj()).real.sum(dim=2) / omega[:, None] ** 2
@@ -426,7 +418,7 @@ class BogieMisfit:
             spectra, noise = trip.spectra.at(bins), fit.noises[i][bins].to(torch.complex128)
             responses = self.responses(x, i, self.all_bins)
             trips.append(Explained(spectra, noise, responses, bins, self.sensors_of(trip)))
-        errors = model_errors(self.frequencies_hz, trips, self.errors, len(self._sensors))
+        errors = model_errors(self.frequencies_hz, trips, self.errors, len(self.generator.places))
         return replace(fit, errors=errors)
 
     def by_slopes(self, i: int) -> FloatArray:

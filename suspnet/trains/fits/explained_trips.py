@@ -39,9 +39,8 @@ def explained_trips(
     suspension depends on are the bogie's. `trips` and `temperatures_c` are those it was
     commissioned on.
     """
-    assert vehicle.sensors is not None
     law = bogie.law or SuspensionLaw(None)
-    speeds = [trip.damper_speeds(vehicle.sensors) for trip in trips]
+    speeds = [trip.damper_speeds(vehicle.places) for trip in trips]
     fit = BogieMisfit(
         *(vehicle, [bogie.noise] * len(trips), trips),
         are_healthy=True,

@@ -52,7 +52,7 @@ def joint_estimate(
     shared = 1 / (found.n_trips + 1)
     covariance = (1 - shared) * whole + shared * np.mean(totals, axis=0)
     by_wear, by_own_wear = _wear_errors(bogie, joint)
-    covariance = covariance + np.diag(by_wear)
+    covariance += np.diag(by_wear)
     return PartsEstimate(np.exp(joint), covariance, 1.0, True, level, BOGIE_PARTS, by_own_wear)
 
 

@@ -154,11 +154,10 @@ def _trip_of_all(
     segment_s: float,
 ) -> BogieTrip:
     """Return the spectral matrix of all sensors of a recording, as of `bogie_trip`."""
-    assert generator.sensors is not None
     lost = _lost_sensors(recording, generator)
-    n_sensors = len(generator.sensors) - len(lost)
+    n_sensors = len(generator.places) - len(lost)
     # the most bins, in a band about each one that is read, that do not reach into the next band
-    is_few = len(generator.sensors) < LEAST_SENSORS
+    is_few = len(generator.places) < LEAST_SENSORS
     every = round((FEW_SPACING_HZ if is_few else SPACING_HZ) * segment_s)
     n_bins = min(N_BINS, every - (every + 1) % 2)
     if recording.duration_s < segment_s:
@@ -166,7 +165,7 @@ def _trip_of_all(
     names, segments = sensor_segments(recording, Welch(segment_s))
     place_of = _places(recording.manifest, generator.frame_sensor)
     places = [place_of.get(name) for name in names]
-    order = [places.index(place) for place in generator.sensors if place not in lost]
+    order = [places.index(place) for place in generator.places if place not in lost]
     speeds = segment_speeds(recording, segments)
     groups = groups_to_read(speeds, settings.speed_tolerance, settings.min_speed_m_per_s)
     chosen = without_loud(segments, groups[0]) if groups else torch.zeros(0, dtype=torch.bool)
@@ -198,17 +197,16 @@ def _lost_sensors(recording: Recording, generator: SpatialVehicle) -> tuple[str,
     NoEstimateError if the sensors at its other places do not show the parts, or one is missing
     where no sensors show them.
     """
-    assert generator.sensors is not None
     places = _places(recording.manifest, generator.frame_sensor)
     living = {places.get(name) for name in recording.sensors()}
-    present = [place for place in generator.sensors if place in living]
-    lost = tuple(place for place in generator.sensors if place not in living)
+    present = [place for place in generator.places if place in living]
+    lost = tuple(place for place in generator.places if place not in living)
     if lost and not show_parts(present):
         raise NoEstimateError(
             Finding(
                 "sensors-lost-for-parts" if generator.shows_parts else "sensors-lost",
                 lost=together(lost, ", "),
-                sensors=together(generator.sensors, ", "),
+                sensors=together(generator.places, ", "),
                 least_sensors=LEAST_SENSORS,
             )
         )

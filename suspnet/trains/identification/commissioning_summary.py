@@ -196,13 +196,12 @@ def errors_of_parts(bogie: CommissionedBogie, healthy: HealthyTrips) -> str:
         return ""
     largest = 100 * bogie.errors.numpy()
     i, sensor = np.unravel_index(largest.argmax(), largest.shape)
-    assert bogie.generator.sensors is not None
     return Finding(
         "model-errors" if largest.any() else "no-model-errors",
         typical=float(np.median(largest.max(axis=1))),
         most=float(largest.max()),
         frequency=float(healthy.of_parts[0].frequencies_hz[i]),
-        place=bogie.generator.sensors[int(sensor)].replace("_", " "),
+        place=bogie.generator.places[int(sensor)].replace("_", " "),
     )
 
 

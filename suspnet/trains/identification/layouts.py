@@ -156,16 +156,6 @@ class _Trip:
         n_averages = 60 * settings.minutes * SPACING_HZ
         return cls(vehicle, medians, bins, torch.as_tensor(density), noise, n_averages)
 
-    @property
-    def _n_track(self) -> int:
-        return sum(not name.startswith("wheelset") for name in self.vehicle.inputs)
-
-    @property
-    def is_matched(self) -> bool:
-        """Whether the sensors are too few for inputs of any coherence."""
-        assert self.vehicle.sensors is not None
-        return len(self.vehicle.sensors) <= self._n_track
-
     def bounds(self, n_healthy: int) -> tuple[FloatArray, FloatArray]:
         """Return the largest bounds with all other numbers known, and with them learnt, (13,)."""
         assert self.vehicle.distribution is not None
@@ -195,11 +185,11 @@ class _Trip:
         columns = [*self.vehicle.uncertain_columns, *range(len(COMPONENTS))]
         directions = torch.eye(len(self.vehicle.columns), dtype=torch.float64)[columns]
         responses, changes = self.vehicle.channels_along(rows, self.frequencies_hz, directions)
-        n = self._n_track
+        n = sum(not name.startswith("wheelset") for name in self.vehicle.inputs)
         further = range(n, len(self.vehicle.inputs))
         alone = [list(further[i : i + 4]) for i in range(0, len(further), 4)]  # four wheelsets
         coherent = range(n)
-        if self.is_matched:
+        if len(self.vehicle.places) <= n:
             coherent, alone = range(1, n), [[0], *alone]
         information = spectral_information(
             responses[0], changes[0], self.density, self.noise, coherent, alone
@@ -211,9 +201,8 @@ def _noise(
     vehicle: SpatialVehicle, medians: Tensor, track: TrackSpectrum, settings: EstimateSettings
 ) -> Tensor:
     """Return the noise density of each sensor, (m,): white, below its signal by `snr_db`."""
-    assert vehicle.sensors is not None
     kinds = dict(zip(("axle_box", "frame", "body"), settings.rates_hz, strict=True))
-    rates = [next(kinds[kind] for kind in kinds if p.startswith(kind)) for p in vehicle.sensors]
+    rates = [next(kinds[kind] for kind in kinds if p.startswith(kind)) for p in vehicle.places]
     return noise_densities(
         lambda grid: vehicle.channels(medians, grid)[0].abs().square().sum(dim=0).numpy(),
         lambda grid: acceleration_density(track, grid, vehicle.speed_m_per_s),

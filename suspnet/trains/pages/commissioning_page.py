@@ -117,8 +117,8 @@ def _page_values(
         Finding("left-and-right" if pair else "one-sensor", channel=channel.replace("_", " "))
         for channel, pair in zip(CHANNELS, healthy.paired, strict=True)
     ]
-    if healthy.absent and healthy.vehicle.sensors:
-        sensors = [place.replace("_", " ") for place in healthy.vehicle.sensors]
+    if healthy.absent and healthy.vehicle.places:
+        sensors = [place.replace("_", " ") for place in healthy.vehicle.places]
     return {
         "title": spoken(Finding("commissioning", name=vehicle.name)),
         "headline": {
@@ -154,10 +154,9 @@ def _page_values(
 def errors(bogie: CommissionedBogie, frequencies_hz: FloatArray) -> Figure:
     """Return a figure of the errors of a bogie's responses by frequency."""
     assert bogie.errors is not None
-    assert bogie.generator.sensors is not None
     figure = Figure(figsize=(8, 4), layout="constrained")
     axes = figure.subplots()
-    for place, share in zip(bogie.generator.sensors, bogie.errors.numpy().T, strict=True):
+    for place, share in zip(bogie.generator.places, bogie.errors.numpy().T, strict=True):
         axes.plot(frequencies_hz, 100 * np.where(share > 0, share, np.nan), label=place)
     axes.set(xlabel="frequency [Hz]", ylabel=N_("error [% of the signal]"), yscale="log")
     axes.legend(fontsize="small", ncols=2)
@@ -194,8 +193,7 @@ def responses(
     # one trip is drawn: all of them would hide the band
     i = max(range(len(commissioned)), key=lambda i: healthy.of_parts[i].spectra.n_averages)
     trip, frequencies_hz = healthy.of_parts[i], healthy.of_parts[i].frequencies_hz.numpy()
-    assert healthy.vehicle.sensors is not None
-    ends = links(healthy.vehicle.sensors)
+    ends = links(healthy.vehicle.places)
     figure = Figure(figsize=(9.0, 4.4), layout="constrained")
     axes = figure.subplots(1, len(ends), sharex=True, sharey=True, squeeze=False)[0]
     km, km_per_h = healthy.manifests[i].mileage_km, 3.6 * trip.speed_m_per_s

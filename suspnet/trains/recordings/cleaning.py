@@ -163,10 +163,7 @@ def fill(values: FloatArray, holes: BoolArray) -> FloatArray:
     return filled
 
 
-KINDS = (
-    *("gap", "spike", "saturation", "constant", "offset", "zero", "jump", "stuck"),
-    *("loose", "clock", "dead"),
-)
+KINDS = tuple("gap spike saturation constant offset zero jump stuck loose clock dead".split())
 """Kinds of faults; zero, jump and stuck concern the speed, the last three several sensors."""
 CORE_SAMPLES = 2**18
 """Approximate number of samples checked at once, which fit in the processor's cache."""

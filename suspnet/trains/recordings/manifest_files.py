@@ -78,9 +78,7 @@ class ManifestFile:
             content = content | {"speed": _with_file(content.get("speed"))}
             channels = content.get("channels")
             if isinstance(channels, dict):
-                content["channels"] = {
-                    name: _with_file(source) for name, source in channels.items()
-                }
+                content["channels"] = {name: _with_file(its) for name, its in channels.items()}
         return _parsed(self.path, content)
 
     @property

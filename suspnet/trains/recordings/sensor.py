@@ -91,15 +91,10 @@ class SensorStream:
         start_s = second.start_s - shift_s
         faults = self._cleaner.faults(start_s)
         _check_alive(self.where, self._cleaner, faults)
-        return SensorSignal(
-            self._cleaner.channel,
-            start_s,
-            start_s + self._cleaner.n_samples / second.input_rate_hz,
-            self._first - round(shift_s * self.rate_hz),
-            self._signal.values,
-            self._signal.touched,
-            faults,
-        )
+        name, signal = self._cleaner.channel, self._signal
+        end_s = start_s + self._cleaner.n_samples / second.input_rate_hz
+        first = self._first - round(shift_s * self.rate_hz)
+        return SensorSignal(name, start_s, end_s, first, signal.values, signal.touched, faults)
 
     def signal(self, shift_s: float = 0.0) -> SensorSignal:
         """Return the result of `finish` for the samples so far; more may follow."""

@@ -172,8 +172,7 @@ def check_order(
     message is of `where`, a file or folder. `nearly` is as for `likely_orders`, each of which takes
     a second. `fit` returns `misfit_near` of the two, where `check_end` may need it as well.
     """
-    assert generator.sensors is not None
-    places = [generator.sensors[i] for i in trip.kept(generator.sensors)]
+    places = [generator.places[i] for i in trip.kept(generator.places)]
     in_place = list(range(len(places)))
     likely = likely_orders(generator, trip, nearly)
     orders = [order for order in likely if order != in_place]

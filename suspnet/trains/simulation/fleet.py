@@ -28,10 +28,7 @@ from suspnet.trains.recordings.manifest import CHANNELS
 from suspnet.trains.simulation.signals import Journey, Sensor, service_journey, steady_journey
 from suspnet.vehicle.track import track_spectrum
 
-EFFECTS = (
-    *("track", "cross_axis", "torsion"),
-    *("second_bending", "body_torsion", "equipment", "floors"),
-)
+EFFECTS = tuple("track cross_axis torsion second_bending body_torsion equipment floors".split())
 """Parts of ``SpatialVehicle`` that a scenario may add: a track on ballast, which gives way under
 the wheelsets, sensors that read a share of the lateral motion, flexible modes, and local floors."""
 FIRST_DAY = datetime(2015, 8, 3, 6, tzinfo=UTC)
