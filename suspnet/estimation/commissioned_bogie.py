@@ -38,11 +38,15 @@ class HealthyScatter:
         own, alike = np.square(self.own)[kinds], np.square(self.alike)[kinds]
         return np.diag(own) + np.where(kinds[:, None] == kinds, alike, 0.0)
 
-    def widened(self, level: float) -> FloatArray:
-        """Return tau^2 times the covariance, tau Student's quantile of a level over the normal."""
-        tail = (1 + level) / 2
-        tau = float(t.ppf(tail, self.n_trips - 1) / norm.ppf(tail))
-        return tau**2 * self.covariance
+    def student(self, level: float) -> float:
+        """Return `student_factor` of an interval of that level."""
+        return student_factor(self.n_trips, level)
+
+
+def student_factor(n_trips: int, level: float) -> float:
+    """Return Student's quantile over the normal one, of a scatter that n_trips show."""
+    tail = (1 + level) / 2
+    return float(t.ppf(tail, n_trips - 1) / norm.ppf(tail))
 
 
 @dataclass(frozen=True, repr=False)

@@ -10,7 +10,7 @@ from test_bogie_fit import VEHICLE
 
 from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScatter
 from suspnet.ground.parameters import COMPONENTS
-from suspnet.trains.fits.bogie_fit import PartsEstimate, beyond_noise, wear_errors
+from suspnet.trains.fits.bogie_fit import PartsEstimate, beyond_noise
 from suspnet.trains.fits.bogie_misfit import WEAR
 from suspnet.trains.fits.worn_parts import (
     ODDS,
@@ -129,13 +129,13 @@ def test_a_part_is_named_from_its_least_loss_on(misfit):
     scatter = HealthyScatter((1e-3, 5e-3, 1e-3, 2e-3), (0.0,) * 4, 6, noise)
     bogie = CommissionedBogie(VEHICLE, None, np.ones(6), misfit, True, scatter=scatter)
     losses = least_losses(bogie)
+    wider = scatter.student(0.9) ** 2
     for i, name in enumerate(COMPONENTS[:-1]):
         for loss, is_named in ((losses[name] + 2e-3, True), (losses[name] - 3e-3, False)):
             logs = np.zeros(13)
             logs[i] = np.log(1 - loss)
-            covariance, (_, own) = beyond_noise(bogie, logs, 0.9), wear_errors(bogie, logs)
-            estimate = PartsEstimate(np.exp(logs), covariance, 1.0, True, 0.9, by_own_wear=own)
-            worn = worn_parts(estimate)
+            covariance = wider * beyond_noise(bogie, logs)
+            worn = worn_parts(PartsEstimate(np.exp(logs), covariance, 1.0, True, 0.9))
             assert ([part.names for part in worn] == [(name,)]) == is_named
     assert losses["k_p_axle1_left"] < losses["c_p_axle1_left"] < 0.2
     never = replace(scatter, own=(2.0,) * 4)
@@ -156,8 +156,7 @@ def test_healthy_trips_accuse_as_often_as_draws_of_them():
     rng = np.random.default_rng(7)
     spread = np.sqrt(2 / rng.chisquare(2, (n, 1)))
     logs = 0.005 * rng.standard_normal((n, 12)) + 0.05 * spread * rng.standard_normal((n, 12))
-    covariance = 0.005**2 * np.eye(13)
-    covariance[:12, :12] += bogie.scatter.widened(0.9)
+    covariance = bogie.scatter.student(0.9) ** 2 * (0.005**2 + 0.05**2) * np.eye(13)
     accused = [
         bool(worn_parts(PartsEstimate(np.exp(np.append(e, 0.0)), covariance, 1.0, True, 0.9)))
         for e in logs

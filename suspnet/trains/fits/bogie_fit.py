@@ -18,10 +18,10 @@ What the vehicle does not explain of its healthy trips counts as errors of its r
 (`trains.spectra.model_errors`), and how their parts scatter if they are read as later ones is
 measured (`healthy_scatter`). The covariance of a later trip's parts is ::
 
-    max(1, mu)^2 C + tau^2 V + (1 - 1 / max(1, mu_0)^2) D
+    tau^2 [max(1, mu)^2 C + V + (1 - 1 / max(1, mu_0)^2) D]
 
 with C that of the posterior, mu the rms residual over that of noise and errors, V that of the
-scatter and tau Student's quantile over the normal one: few healthy trips tell little of it. D is
+scatter and tau Student's quantile over the normal one: few healthy trips tell little of both. D is
 diagonal, the square of ``SENSITIVITY`` times the logarithm of the part, or times half the largest
 one: a vehicle that leaves mu_0 > 1 of its healthy trips moves differently with wear, too. With few
 sensors, or where all parts of a kind are read as one, ``SENSITIVITY_OF_FEW`` is in its place and
@@ -162,8 +162,9 @@ def fit_parts(
     covariance = posterior_covariance(fit, x, max(1.0, misfit) ** 2)[own, own]
     by_own_wear: FloatArray | float = 0.0
     if bogie.scatter is not None:
-        covariance = covariance + beyond_noise(bogie, x[own], level, len(noise))
-        by_own_wear = wear_errors(bogie, x[own], len(noise))[1]
+        wider = bogie.scatter.student(level) ** 2
+        covariance = wider * (covariance + beyond_noise(bogie, x[own], len(noise)))
+        by_own_wear = wider * wear_errors(bogie, x[own], len(noise))[1]
     names = PARAMETERS if equal else COMPONENTS
     faster = fit.own_speeds(x) if fit.has_speeds else np.zeros(len(COMPONENTS))
     by_speed, of_law = law.beside(names, conditions, np.linalg.pinv(ties) @ faster)
@@ -174,14 +175,14 @@ def fit_parts(
 
 
 def beyond_noise(
-    bogie: CommissionedBogie, logs: FloatArray, level: float, n_sensors: int | None = None
+    bogie: CommissionedBogie, logs: FloatArray, n_sensors: int | None = None
 ) -> FloatArray:
-    """Return the covariance tau^2 V + (1 - 1 / mu_0^2) D of the logarithms of parts and mass.
+    """Return the covariance V + (1 - 1 / mu_0^2) D of the logarithms of all parts and the mass.
 
     `logs` (13,) are those found, or (5,) of each kind; `n_sensors` found them, None: all.
     """
     assert bogie.scatter is not None
-    covariance: FloatArray = np.pad(bogie.scatter.widened(level), (0, 1))
+    covariance: FloatArray = np.pad(bogie.scatter.covariance, (0, 1))
     if len(logs) == len(PARAMETERS):
         tied = np.linalg.pinv(EQUAL)
         covariance = tied @ covariance @ tied.T
@@ -196,8 +197,7 @@ def wear_errors(
     Then what of each is there only if the part itself has worn. All is as of `beyond_noise`.
     """
     are_kinds, wear = len(logs) == len(PARAMETERS), np.abs(logs[:-1])
-    n_sensors = n_sensors or len(bogie.generator.places)
-    is_few = are_kinds or n_sensors < LEAST_SENSORS
+    is_few = are_kinds or (n_sensors or len(bogie.generator.places)) < LEAST_SENSORS
     names = PARAMETERS[:-1] if are_kinds else BOGIE_PARTS
     sizes = np.array([(SENSITIVITY_OF_FEW if is_few else SENSITIVITY)[kind_of(n)] for n in names])
     sizes *= np.sqrt(1 - 1 / max(bogie.misfit, MISFIT_OF_FEW if is_few else 1.0) ** 2)

@@ -163,10 +163,9 @@ def enriched(end: SearchEnd, parts: Sequence[str]) -> SearchEnd:
 
 def _learnt(end: SearchEnd, rounds: int) -> SearchEnd:
     for _ in range(rounds):
-        fit = end.fit
         # a few residuals a bin are easily explained by errors: they are learnt at the end
-        fit = fit.with_noise_at(end.x) if fit.is_matched else fit.with_errors_at(end.x)
-        fit = with_chance_at(fit, end.x)
+        at = end.fit.with_noise_at if end.fit.is_matched else end.fit.with_errors_at
+        fit = with_chance_at(at(end.x), end.x)
         end = SearchEnd(fit, *search(fit, end.x, 0.0, _thinned(fit), HEALTHY_TOLS[0]))
     return end
 
