@@ -42,9 +42,9 @@ def write_outcome(folder: Path, healthy: HealthyTrips, outcome: Commissioned) ->
         for vehicle in (bogie.generator, healthy.vehicle)
     )
     figures = {"responses": responses(healthy, commissioned, drawing)}
-    if outcome.bogie.errors is not None:
+    if bogie.errors is not None and bool(bogie.errors.any()):
         frequencies_hz = healthy.of_parts[0].frequencies_hz.numpy()
-        figures["errors"] = errors(outcome.bogie, frequencies_hz)
+        figures["errors"] = errors(bogie, frequencies_hz)
     for name, figure in figures.items():
         write_atomically(folder / "figures" / f"{NAME}_{name}.png", as_png(figure))
     misfits = [trip.misfit for trip in commissioned]
