@@ -14,7 +14,7 @@ from suspnet.trains.fits.bogie_fit import (
     healthy_misfit,
     wear_errors,
 )
-from suspnet.trains.fits.bogie_misfit import UNEVEN
+from suspnet.trains.fits.bogie_misfit import N_UNEVEN, UNEVEN
 from suspnet.trains.spectra.bogie_trip import BogieTrip
 
 LEFT = replace(VEHICLE, sensors=VEHICLE.sensors[::2])
@@ -32,7 +32,11 @@ def commissioned():
     return commission_bogie(LEFT, [measured({}, mass, i) for i, mass in enumerate(MASSES)])
 
 
-@pytest.mark.parametrize("uneven", [0.0, 0.3])
+@pytest.mark.parametrize(
+    "uneven",
+    [0.0, 0.3, np.where(BINS > 6, 0.2, 0.0)],
+    ids=["alike", "uneven", "uneven above 6 Hz"],
+)
 def test_each_part_is_read(commissioned, uneven):
     """Also if one rail is rougher, which healthy trips did not show."""
     assert commissioned.outputs == COMPONENTS
@@ -51,7 +55,7 @@ def test_each_part_is_read(commissioned, uneven):
 def test_residuals_of_the_true_vehicle_are_standard_normal_and_know_the_rails():
     trips = [measured({}, mass, i, 0.25) for i, mass in enumerate(MASSES)]
     fit = healthy_misfit(LEFT, trips)
-    assert fit.n_uneven == 1
+    assert fit.n_uneven == N_UNEVEN
     fit = replace(fit, noises=[torch.tensor([4e-3, 5e-6, 2e-7]).double()] * len(trips))
     x = fit.start()
     numbers = fit.generator.distribution
@@ -64,7 +68,7 @@ def test_residuals_of_the_true_vehicle_are_standard_normal_and_know_the_rails():
     own = x[fit.n_shared :].reshape(len(trips), -1)
     own[:, fit.n_parts] = np.log(MASSES)
     assert fit.rms(x) > 1.5  # rails that are taken as alike
-    own[:, fit.n_chance] = 0.25
+    own[:, fit.n_chance : fit.n_free] = 0.25
     assert fit.rms(x) == pytest.approx(1.0, abs=0.05)
     assert fit.prior(x)[fit.n_shared + fit.n_chance] == pytest.approx(0.25 / UNEVEN)
 
