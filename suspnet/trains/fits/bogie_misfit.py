@@ -42,8 +42,8 @@ the slope of c_s over the speed was -0.95 in place of -0.2 on healthy trips whos
 worn."""
 UNEVEN = 0.3
 """Standard deviation, before a trip, of the cross level that comes with the mean of both rails: it
-is 0 if both are as rough. Where sensors do not outnumber the inputs, c_p would err by 20 % (of axle
-1, right, by sensors on the left) if the left rail had 1.5 times the density of the right one."""
+is 0 if both are as rough. Where sensors do not outnumber the inputs, c_p would err by 20 % if the
+left rail had 1.5 times the density of the right one."""
 N_UNEVEN, UNEVEN_SPACING_HZ = 4, 6.0
 """Frequencies, from 0 on, between which that share is interpolated, and their distance: one share
 at all frequencies reads k_p 3, c_p 13, k_s 5 and c_s 9 % off if that is so above 6 Hz alone."""
@@ -329,21 +329,16 @@ class BogieMisfit:
             if self.is_matched:
                 at_bins = matched_noise(spectra, responses, start)
             else:
-                at_bins = trip_noise(
-                    *(spectra, responses, self._alone(x, i, bins), start),
-                    *(self._leakage(x, i, responses), self._forces(x, i)),
-                )
+                bins_hz, rows = self.frequencies_hz[bins], self._rows(x, i)
+                alone = self._of(trip).channels_alone(rows, bins_hz)[0]
+                alone = alone[self._inputs][:, :, self.sensors_of(trip)]
+                further = self._leakage(x, i, responses), self._forces(x, i)
+                at_bins = trip_noise(spectra, responses, alone, start, *further)
             # bins that are left out have any noise
             matrix = torch.diag(at_bins.densities).to(at_bins.matrix)
             matrix = matrix.repeat(len(self.all_bins), 1, 1).index_copy(0, bins, at_bins.matrix)
             noises.append(replace(at_bins, matrix=matrix))
         return noises
-
-    def _alone(self, x: FloatArray, i: int, bins: Tensor) -> Tensor:
-        """Return the responses of trip i's sensors to each input under one wheelset alone."""
-        rows, sensors = self._rows(x, i), self.sensors_of(self.trips[i])
-        alone = self._of(self.trips[i]).channels_alone(rows, self.frequencies_hz[bins])[0]
-        return alone[self._inputs][:, :, sensors]
 
     def _forces(self, x: FloatArray, i: int) -> DamperForces:
         """Return what the dampers of both bogies do to the sensors of trip i."""

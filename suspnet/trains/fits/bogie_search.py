@@ -126,11 +126,7 @@ def healthy_end(fit: BogieMisfit, further_parts: Sequence[str], explained: float
 
 
 def freed(end: SearchEnd) -> SearchEnd:
-    """Return the end, or another one if errors learnt on the way had hidden a much better one.
-
-    Sensors that show all parts of a kind as one have better ends further from the truth: three on
-    the left of tests/rich_train.py, flexible modes, seed 0, held 71 % in place of 92.
-    """
+    """Return the end, or another one if errors learnt on the way had hidden a much better one."""
     if end.bare_misfit <= ENRICHED_FROM or end.fit.is_matched:
         return end
     near = narrowed(replace(end.fit, errors=None), end.x)

@@ -103,9 +103,7 @@ class CovarianceMisfit:
     @cached_property
     def _inverse(self) -> Tensor:
         """L^-1, (n_freq, m, m)."""
-        factor = torch.linalg.cholesky(self.spectra.values)
-        unit = torch.eye(factor.shape[-1], dtype=factor.dtype)
-        inverse: Tensor = torch.linalg.solve_triangular(factor, unit, upper=False)
+        inverse: Tensor = torch.linalg.inv(torch.linalg.cholesky(self.spectra.values))
         return inverse
 
     @cached_property
