@@ -55,7 +55,8 @@ def test_each_part_is_read(commissioned, uneven):
 def test_residuals_of_the_true_vehicle_are_standard_normal_and_know_the_rails():
     trips = [measured({}, mass, i, 0.25) for i, mass in enumerate(MASSES)]
     fit = healthy_misfit(LEFT, trips)
-    assert fit.n_uneven == N_UNEVEN
+    assert fit.n_uneven == 1
+    assert replace(fit, are_healthy=False).n_uneven == N_UNEVEN
     fit = replace(fit, noises=[torch.tensor([4e-3, 5e-6, 2e-7]).double()] * len(trips))
     x = fit.start()
     numbers = fit.generator.distribution

@@ -45,8 +45,8 @@ UNEVEN = 0.3
 is 0 if both are as rough. Where sensors do not outnumber the inputs, c_p would err by 20 % if the
 left rail had 1.5 times the density of the right one."""
 N_UNEVEN, UNEVEN_SPACING_HZ = 4, 6.0
-"""Frequencies, from 0 on, between which that share is interpolated, and their distance: one share
-at all frequencies reads k_p 3, c_p 13, k_s 5 and c_s 9 % off if that is so above 6 Hz alone."""
+"""Frequencies, from 0 on, between which that share of later trips is interpolated, and their
+distance: one share reads k_p 3, c_p 13, k_s 5 and c_s 9 % off if that is so above 6 Hz alone."""
 FURTHEST = 20.0
 """Largest coordinate of vehicles that are tried: logarithms of ratios, and deviations of priors."""
 SEPARATE = np.eye(len(COMPONENTS))
@@ -185,9 +185,10 @@ class BogieMisfit:
         """Number of coordinates of each trip that say how much rougher one rail is."""
         return len(self._uneven(self.frequencies_hz)) if self.is_matched else 0
 
-    @staticmethod
-    def _uneven(frequencies_hz: Tensor) -> Tensor:
+    def _uneven(self, frequencies_hz: Tensor) -> Tensor:
         """Return the functions of frequency that they are the sizes of, (n, n_freq)."""
+        if self.are_healthy:  # more of them hide what the vehicle lacks
+            return torch.ones(1, len(frequencies_hz), dtype=torch.float64)
         places = (frequencies_hz / UNEVEN_SPACING_HZ).clamp(max=N_UNEVEN - 1)
         return (1 - (places - torch.arange(N_UNEVEN)[:, None]).abs()).clamp(min=0)
 

@@ -30,9 +30,9 @@ those of the searches after it, of later trips. Four sensors without axle boxes 
 LEARNT_ROUNDS, ENRICHED_ROUNDS = 3, 5
 """Rounds in which the errors of a vehicle are learnt, and of one that was given further parts: they
 change by less than a tenth in the last one (flexible modes of tests/rich_train.py, seed 0)."""
-ENRICHED_FROM = 1.3
-"""Misfit without errors above which all further parts are given at once: each alone is hidden by
-the errors for the others."""
+ENRICHED_FROM, MATCHED_FROM = 1.3, 1.1
+"""Misfits without errors above which all further parts are given at once, the latter where
+covariances are matched: each alone is hidden by the errors for the others."""
 MUCH_BETTER = 0.8
 """Misfit without errors, over that of the searches that learn errors, from which an end counts as
 another valley. The scenario flexible_train with seed 2 has 1.0 in place of 2.4; the misfit of
@@ -144,7 +144,7 @@ def enriched(end: SearchEnd, parts: Sequence[str]) -> SearchEnd:
     """Return the end with all further parts if they are needed, or those that are worth it."""
     if not parts:
         return end
-    if end.bare_misfit > ENRICHED_FROM:
+    if end.bare_misfit > (MATCHED_FROM if end.fit.is_matched else ENRICHED_FROM):
         # from the start: what the poorer vehicle made of these trips is another valley
         fit, _ = replace(end.fit, errors=None).with_parts(parts, end.x)
         return _learnt(SearchEnd(fit, _first_step(fit), False), ENRICHED_ROUNDS)
