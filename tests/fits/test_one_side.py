@@ -74,13 +74,14 @@ def test_residuals_of_the_true_vehicle_are_standard_normal_and_know_the_rails():
     assert fit.prior(x)[fit.n_shared + fit.n_chance] == pytest.approx(0.25 / UNEVEN)
 
 
-def test_derivatives_are_those_of_finite_differences():
-    trips = [measured({}, mass, i) for i, mass in enumerate(MASSES)]
-    fit = healthy_misfit(LEFT, trips)
+@pytest.mark.parametrize("are_healthy", [True, False])
+def test_derivatives_are_those_of_finite_differences(are_healthy):
+    fit = healthy_misfit(LEFT, [measured({}, mass, i) for i, mass in enumerate(MASSES)])
+    fit = fit if are_healthy else replace(fit.of_trips([0]), are_healthy=False)
     x = fit.start() + 0.1 * np.random.default_rng(0).standard_normal(len(fit.start()))
     residuals, step = fit.at(0.0, fit.all_bins[::20]), 1e-5
-    jacobian = residuals.jacobian(x)
-    for i in (0, fit.n_shared + fit.n_chance, len(x) - 1):
+    jacobian, uneven = residuals.jacobian(x), fit.n_shared + fit.n_chance
+    for i in (0, *range(uneven, uneven + fit.n_uneven), len(x) - 1):
         off = step * np.eye(len(x))[i]
         slope = (residuals(x + off) - residuals(x - off)) / (2 * step)
         np.testing.assert_allclose(jacobian[:, i], slope, rtol=1e-4, atol=1e-4)

@@ -77,8 +77,7 @@ class CovarianceMisfit:
         m = self.spectra.values.shape[-1]
         if m * m <= len(self._basis):
             raise ValueError(
-                f"{m} sensors do not tell the responses to {self.n_inputs} inputs; at least three "
-                "are needed"
+                f"{m} sensors do not tell {self.n_inputs} inputs apart; at least three are needed"
             )
 
     @property
