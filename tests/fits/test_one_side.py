@@ -14,7 +14,7 @@ from suspnet.trains.fits.bogie_fit import (
     healthy_misfit,
     wear_errors,
 )
-from suspnet.trains.fits.bogie_misfit import N_UNEVEN, UNEVEN
+from suspnet.trains.fits.bogie_misfit import UNEVEN
 from suspnet.trains.spectra.bogie_trip import BogieTrip
 
 LEFT = replace(VEHICLE, sensors=VEHICLE.sensors[::2])
@@ -32,11 +32,7 @@ def commissioned():
     return commission_bogie(LEFT, [measured({}, mass, i) for i, mass in enumerate(MASSES)])
 
 
-@pytest.mark.parametrize(
-    "uneven",
-    [0.0, 0.3, np.where(BINS > 6, 0.2, 0.0)],
-    ids=["alike", "uneven", "uneven above 6 Hz"],
-)
+@pytest.mark.parametrize("uneven", [0.0, 0.3])
 def test_each_part_is_read(commissioned, uneven):
     """Also if one rail is rougher, which healthy trips did not show."""
     assert commissioned.outputs == COMPONENTS
@@ -56,7 +52,6 @@ def test_residuals_of_the_true_vehicle_are_standard_normal_and_know_the_rails():
     trips = [measured({}, mass, i, 0.25) for i, mass in enumerate(MASSES)]
     fit = healthy_misfit(LEFT, trips)
     assert fit.n_uneven == 1
-    assert replace(fit, are_healthy=False).n_uneven == N_UNEVEN
     fit = replace(fit, noises=[torch.tensor([4e-3, 5e-6, 2e-7]).double()] * len(trips))
     x = fit.start()
     numbers = fit.generator.distribution

@@ -44,9 +44,6 @@ UNEVEN = 0.3
 """Standard deviation, before a trip, of the cross level that comes with the mean of both rails: it
 is 0 if both are as rough. Where sensors do not outnumber the inputs, c_p would err by 20 % if the
 left rail had 1.5 times the density of the right one."""
-N_UNEVEN, UNEVEN_SPACING_HZ = 4, 6.0
-"""Frequencies, from 0 on, between which that share of later trips is interpolated, and their
-distance: one share reads k_p 3, c_p 13, k_s 5 and c_s 9 % off if that is so above 6 Hz alone."""
 FURTHEST = 20.0
 """Largest coordinate of vehicles that are tried: logarithms of ratios, and deviations of priors."""
 SEPARATE = np.eye(len(COMPONENTS))
@@ -182,15 +179,8 @@ class BogieMisfit:
 
     @property
     def n_uneven(self) -> int:
-        """Number of coordinates of each trip that say how much rougher one rail is."""
-        return len(self._uneven(self.frequencies_hz)) if self.is_matched else 0
-
-    def _uneven(self, frequencies_hz: Tensor) -> Tensor:
-        """Return the functions of frequency that they are the sizes of, (n, n_freq)."""
-        if self.are_healthy:  # more of them hide what the vehicle lacks
-            return torch.ones(1, len(frequencies_hz), dtype=torch.float64)
-        places = (frequencies_hz / UNEVEN_SPACING_HZ).clamp(max=N_UNEVEN - 1)
-        return (1 - (places - torch.arange(N_UNEVEN)[:, None]).abs()).clamp(min=0)
+        """Number of coordinates of each trip that say how much rougher one rail is, 1 or 0."""
+        return int(self.is_matched)
 
     @property
     def n_free(self) -> int:
@@ -408,8 +398,7 @@ class BogieMisfit:
             expected = replace(trip, spectra=replace(trip.spectra, values=values))
             pairs = np.nan_to_num(np.log(expected.damper_speeds(self.generator.places)))
             strokes = self._of(trip).strokes(self._rows(at, 0), self.frequencies_hz)
-            strokes = self._on_rails(at, 0, strokes[0, self._inputs], self.frequencies_hz)
-            strokes = strokes.permute(2, 1, 0)
+            strokes = self._on_rails(at, 0, strokes[0, self._inputs]).permute(2, 1, 0)
             power = (strokes @ inputs * strokes.conj()).real.sum(dim=2) / omega[:, None] ** 2
             speeds = np.log(power[used].sum(dim=0).numpy()) / 2
             ratios.append(speeds - pairs.repeat((len(CORNERS), len(SIDES))))
@@ -490,17 +479,16 @@ class BogieMisfit:
     def _responses_at(self, x: FloatArray, i: int, frequencies_hz: Tensor) -> Tensor:
         trip = self.trips[i]
         every = self._of(trip).channels(self._rows(x, i), frequencies_hz)[0, self._inputs]
-        return self._on_rails(x, i, every[:, self.sensors_of(trip)], frequencies_hz)
+        return self._on_rails(x, i, every[:, self.sensors_of(trip)])
 
-    def _on_rails(self, x: FloatArray, i: int, by_input: Tensor, frequencies_hz: Tensor) -> Tensor:
+    def _on_rails(self, x: FloatArray, i: int, by_input: Tensor) -> Tensor:
         """Return what each input (..., p, m, n_freq) does if one rail is rougher than the other.
 
         The mean of both brings the cross level that is coherent with it.
         """
         if not self.n_uneven:
             return by_input
-        own = x[self.n_shared + self.n_own * i + self.n_chance :][: self.n_uneven]
-        share = torch.tensor(own) @ self._uneven(frequencies_hz)
+        share = x[self.n_shared + self.n_own * i + self.n_chance]
         first = by_input[..., :1, :, :] + share * by_input[..., 1:2, :, :]
         return torch.cat([first, by_input[..., 1:, :, :]], dim=-3)
 
@@ -548,8 +536,7 @@ class BogieMisfit:
         responses, changes = self._of(trip).channels_along(alike * factors, bins_hz, directions)
         inputs, sensors = self._inputs, self.sensors_of(trip)
         own, changes = responses[0, inputs][:, sensors], changes[0][:, inputs][:, :, sensors]
-        changes = self._on_rails(x, i, changes, bins_hz)
+        changes = self._on_rails(x, i, changes)
         if self.n_uneven:
-            first = self.n_shared + self.n_chance
-            changes[first : first + self.n_uneven, 0] = own[1] * self._uneven(bins_hz)[:, None]
-        return self._on_rails(x, i, own, bins_hz), changes
+            changes[self.n_shared + self.n_chance, 0] = own[1]
+        return self._on_rails(x, i, own), changes
