@@ -174,7 +174,7 @@ def show_parts(places: Sequence[str]) -> bool:
     beside = [words for words in showing if words[-1] in SIDES]
     if len(showing) >= LEAST_SENSORS and len({words[-1] for words in beside}) == len(SIDES):
         return True
-    return len({words[0] for words in beside}) == len(("axle_box", "frame", "body"))
+    return {words[0] for words in beside} == {"axle", "frame", "body"}
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from suspnet.ground.parameters import COMPONENTS, CORNERS, PARAMETERS, SIDES, Di
 from suspnet.ground.types import FloatArray
 from suspnet.trains.fits.bogie_residuals import Residuals
 from suspnet.trains.spectra.bogie_trip import BogieTrip, smallest_noise
-from suspnet.trains.spectra.covariance_matching import CovarianceMisfit, matched_noise, misfit_of
+from suspnet.trains.spectra.covariance_matching import matched_noise, misfit_of
 from suspnet.trains.spectra.model_errors import Explained, model_errors
 from suspnet.trains.spectra.noise_subspace import DamperForces, Leakage, TripNoise, trip_noise
 from suspnet.trains.spectra.subspace import SpectralMatrix
@@ -55,14 +55,9 @@ coordinate, or all parts of a kind share one."""
 def _input_spectra(spectra: SpectralMatrix, noise: Tensor, responses: Tensor) -> Tensor:
     """Return the spectra of the inputs, (n_freq, p, p), that explain a trip's spectra best.
 
-    `noise` (n_freq, m, m), `responses` (p, m, n_freq).
+    `noise` (n_freq, m, m) or (m,), `responses` (p, m, n_freq).
     """
-    misfit = misfit_of(spectra, noise, len(responses))
-    if isinstance(misfit, CovarianceMisfit):
-        inputs = misfit.inputs(responses)
-    else:
-        inverse = torch.linalg.pinv(responses.permute(2, 1, 0))
-        inputs = inverse @ (spectra.values - noise) @ inverse.mH
+    inputs = misfit_of(spectra, noise, len(responses)).inputs(responses)
     power, vectors = torch.linalg.eigh(inputs)
     positive: Tensor = vectors * power.clamp(min=0)[:, None] @ vectors.mH
     return positive
@@ -171,7 +166,7 @@ class BogieMisfit:
         """Number of coordinates of each trip that say how its dampers differ by chance."""
         return N_OF_TEMPERATURE if self.has_speeds else 0
 
-    @property
+    @cached_property
     def is_matched(self) -> bool:
         """Whether sensors are too few for inputs of any coherence: covariances are matched."""
         n_sensors = min(len(self.sensors_of(trip)) for trip in self.trips)
@@ -385,7 +380,6 @@ class BogieMisfit:
         speed over that of the pairs, (13,), 0 of the mass.
         """
         trip, noise = self.trips[0], self.noises[0]
-        noise = torch.diag(noise) if noise.ndim == 1 else noise
         healthy, first = x.copy(), self.n_shared + self.n_free
         healthy[first : self.n_shared + self.n_parts] = 0.0
         used, omega = trip.of(self.all_bins), 2 * torch.pi * self.frequencies_hz

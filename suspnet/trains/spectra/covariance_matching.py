@@ -31,7 +31,12 @@ from scipy.optimize import nnls
 from torch import Tensor
 
 from suspnet.trains.spectra.noise_subspace import LEAST_NOISE, TripNoise
-from suspnet.trains.spectra.subspace import SpectralMatrix, SubspaceMisfit, equations_of
+from suspnet.trains.spectra.subspace import (
+    SpectralMatrix,
+    SpectralMisfit,
+    SubspaceMisfit,
+    equations_of,
+)
 
 GROUPS = ((0,), (1, 2))
 """Numbers of the inputs that may be coherent: elevation alone, cross level and alignment."""
@@ -65,13 +70,8 @@ def mat(numbers: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True)
-class CovarianceMisfit:
-    """Residuals of a trip's spectral matrix from responses; all is as of `SubspaceMisfit`."""
-
-    spectra: SpectralMatrix
-    noise: Tensor
-    n_inputs: int
-    spread: float | Tensor = 0.0
+class CovarianceMisfit(SpectralMisfit):
+    """These residuals by the covariances of the sensors; methods are as of `SubspaceMisfit`."""
 
     def __post_init__(self) -> None:
         m = self.spectra.values.shape[-1]
@@ -135,8 +135,7 @@ class CovarianceMisfit:
 
     @cached_property
     def _target(self) -> Tensor:
-        noise = torch.diag(self.noise) if self.noise.ndim == 1 else self.noise
-        rest = self.spectra.values - noise.to(torch.complex128)
+        rest = self.spectra.values - self._noise
         return math.sqrt(self.spectra.n_averages) * self._seen(rest)
 
     def _columns(self, white: Tensor) -> Tensor:

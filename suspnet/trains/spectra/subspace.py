@@ -72,18 +72,28 @@ class SpectralMatrix:
 
 
 @dataclass(frozen=True)
-class SubspaceMisfit:
+class SpectralMisfit:
     """Residuals of a trip's spectral matrix from responses.
 
     `noise` is the density of each sensor's noise (m,), or the spectral matrix of all that is not
     the inputs' (n_freq, m, m), [(m/s^2)^2/Hz]; `n_inputs` is p, `spread` the fraction eps of each
-    signal that the model may err by. ValueError if there are not more sensors than inputs.
+    signal that the model may err by. ValueError if the sensors do not tell the inputs apart.
     """
 
     spectra: SpectralMatrix
     noise: Tensor
     n_inputs: int
     spread: float | Tensor = 0.0
+
+    @property
+    def _noise(self) -> Tensor:
+        """N, (m, m) or (n_freq, m, m)."""
+        return torch.diag(self.noise) if self.noise.ndim == 1 else self.noise
+
+
+@dataclass(frozen=True)
+class SubspaceMisfit(SpectralMisfit):
+    """These residuals by the subspace of the inputs, which the sensors must outnumber."""
 
     def __post_init__(self) -> None:
         m = self.spectra.values.shape[-1]
@@ -107,9 +117,8 @@ class SubspaceMisfit:
     @cached_property
     def _root(self) -> Tensor:
         """N^-1/2, (n_freq, m, m)."""
-        noise = torch.diag(self.noise) if self.noise.ndim == 1 else self.noise
         errors = torch.diag_embed(self.spread**2 * self.spectra.densities)
-        factor = torch.linalg.cholesky(noise + errors)
+        factor = torch.linalg.cholesky(self._noise + errors)
         unit = torch.eye(factor.shape[-1], dtype=factor.dtype)
         root: Tensor = torch.linalg.solve_triangular(factor, unit, upper=False)
         return root.to(torch.complex128)
@@ -129,9 +138,8 @@ class SubspaceMisfit:
 
         `responses` (p, m, n_freq) are those of one vehicle.
         """
-        noise = torch.diag(self.noise) if self.noise.ndim == 1 else self.noise
         rows = self.free(responses)[1]
-        power = (rows @ noise.to(rows) * rows.conj()).real.sum(dim=(-2, -1))
+        power = (rows @ self._noise.to(rows) * rows.conj()).real.sum(dim=(-2, -1))
         shares: Tensor = 1 - power / rows.shape[1]
         return shares
 
@@ -141,13 +149,18 @@ class SubspaceMisfit:
         They are those of `trains.spectra.model_errors` with n eps_i^2 = spread_i^2, real and
         imaginary parts one after the other: (n_freq, k), (n_freq, k), (n_freq, m, k).
         """
-        p, own = self.n_inputs, self.noise
-        residuals, rows = self.free(responses)
-        noise = rows @ (torch.diag(own).to(rows) if own.ndim == 1 else own) @ rows.mH
+        p, (residuals, rows) = self.n_inputs, self.free(responses)
+        noise = rows @ self._noise.to(rows) @ rows.mH
         target = residuals @ residuals.mH / 2 - p * noise
         sizes = p * self.spectra.n_averages * self.spectra.densities
         patterns = torch.einsum("fai,fbi,fi->fiab", rows, rows.conj(), sizes.to(rows))
         return equations_of(target, noise, patterns, p)
+
+    def inputs(self, responses: Tensor) -> Tensor:
+        """Return D, (n_freq, p, p), of responses (p, m, n_freq)."""
+        inverse = torch.linalg.pinv(responses.permute(2, 1, 0))
+        inputs: Tensor = inverse @ (self.spectra.values - self._noise) @ inverse.mH
+        return inputs
 
     def free(self, responses: Tensor) -> tuple[Tensor, Tensor]:
         """Return residuals (n_freq, m - p, p) in directions that responses (p, m, n_freq) leave.
