@@ -21,7 +21,7 @@ class HealthyScatter:
 
     `own` and `alike` are standard deviations of the logarithm of a part of each of ``PARAMETERS``
     k_p, c_p, k_s and c_s: of each part alone, and of all of the kind together; `n_trips` is their
-    number. It is that of a normal distribution with Student's quantiles of n_trips - 1 degrees.
+    number. Few trips tell little of it: it counts with Student's quantiles of n_trips - 1 degrees.
     `noise` (12, 12) is the mean covariance of the logarithms that noise alone gives such a trip,
     (4, 4) where all parts of a kind are equal and `own` is 0.
     """
@@ -38,15 +38,13 @@ class HealthyScatter:
         own, alike = np.square(self.own)[kinds], np.square(self.alike)[kinds]
         return np.diag(own) + np.where(kinds[:, None] == kinds, alike, 0.0)
 
-    def student(self, level: float) -> float:
-        """Return `student_factor` of an interval of that level."""
-        return student_factor(self.n_trips, level)
+    def widened(self, level: float) -> FloatArray:
+        """Return what stands for the covariance in intervals of a level, (12, 12).
 
-
-def student_factor(n_trips: int, level: float) -> float:
-    """Return Student's quantile over the normal one, of a scatter that n_trips show."""
-    tail = (1 + level) / 2
-    return float(t.ppf(tail, n_trips - 1) / norm.ppf(tail))
+        It is wider by the square of Student's quantile over the normal one.
+        """
+        tail = (1 + level) / 2
+        return self.covariance * float(t.ppf(tail, self.n_trips - 1) / norm.ppf(tail)) ** 2
 
 
 @dataclass(frozen=True, repr=False)

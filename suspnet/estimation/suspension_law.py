@@ -11,8 +11,9 @@ b [1/K] and a [-] are normal, of each number one of ``SLOPES``; healthy trips of
 temperatures and speeds narrow them (`suspnet.trains.fits.bogie_misfit`). Later trips are read as at
 T_0 and v_0, and the uncertainty of b and a widens their intervals with the distance from there.
 Only a vehicle with the part nonlinear_dampers has a. v is that between sensors at both ends of a
-suspension; what wear on a later trip does to the speed of each damper beyond that follows from the
-parts found (`BogieMisfit.own_speeds`).
+suspension. Each damper has its own speed beside it, which the vehicle knows
+(`BogieMisfit.own_speeds`): the axle that trails moves more than the one with the sensors, and what
+has worn moves otherwise.
 """
 
 from collections.abc import Sequence
@@ -22,7 +23,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from suspnet.ground.findings import Finding, together
-from suspnet.ground.parameters import kind_of
+from suspnet.ground.parameters import DAMPERS, kind_of
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
 
@@ -56,6 +57,7 @@ USUAL = np.array([slope.mean for slope in SLOPES])
 DEVIATIONS = np.array([slope.deviation for slope in SLOPES])
 N_OF_TEMPERATURE = sum(slope.condition == CONDITIONS[0] for slope in SLOPES)
 """Number of slopes of the temperature, which are the first."""
+BY_SPEED = np.arange(len(SLOPES)) >= N_OF_TEMPERATURE
 
 
 def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
@@ -68,12 +70,15 @@ class SuspensionLaw:
 
     `healthy_c` is T_0 [°C], `healthy_m_per_s` v_0 of the primary and the secondary suspension, each
     None if unknown; `slopes` (7,) and `covariance` (7, 7) are mean and covariance of ``SLOPES``.
+    `own_speeds` (12,) are the logarithms of v_0 [m/s] of each of ``DAMPERS``, 0 where no slope is
+    of the speed.
     """
 
     healthy_c: float | None
     healthy_m_per_s: tuple[float | None, ...] = (None, None)
     slopes: tuple[float, ...] = tuple(USUAL.tolist())
     covariance: tuple[tuple[float, ...], ...] = _rows(np.diag(DEVIATIONS**2))
+    own_speeds: tuple[float, ...] = (0.0,) * len(DAMPERS)
 
     def __post_init__(self) -> None:
         if self.healthy_c is not None:
@@ -82,6 +87,7 @@ class SuspensionLaw:
         for name, values, n in (
             ("healthy_m_per_s", tuple(self.healthy_m_per_s), 2),
             ("slopes", tuple(self.slopes), len(SLOPES)),
+            ("own_speeds", tuple(self.own_speeds), len(DAMPERS)),
             ("covariance", sum(rows, ()), len(SLOPES) ** 2),
         ):
             if len(values) != n:
@@ -91,6 +97,7 @@ class SuspensionLaw:
                     check_number(f"law.{name}", value)
         object.__setattr__(self, "healthy_m_per_s", tuple(self.healthy_m_per_s))
         object.__setattr__(self, "slopes", tuple(self.slopes))
+        object.__setattr__(self, "own_speeds", tuple(self.own_speeds))
         object.__setattr__(self, "covariance", rows)
 
     @property
@@ -130,10 +137,13 @@ class SuspensionLaw:
             tuple(speed if np.isfinite(speed) else None for speed in speeds),
         )
 
-    def fitted(self, slopes: FloatArray, covariance: FloatArray) -> Self | None:
+    def fitted(
+        self, slopes: FloatArray, covariance: FloatArray, own_speeds: FloatArray
+    ) -> Self | None:
         """Return the law with its first slopes as fitted, the others 0, in deviations of the prior.
 
-        None if neither the temperatures nor the speeds of the trips count.
+        `own_speeds` (12,) are the means of the healthy trips. None if neither the temperatures nor
+        the speeds of the trips count.
         """
         n, by_speed = len(slopes), len(slopes) > N_OF_TEMPERATURE
         if self.healthy_c is None and not by_speed:
@@ -142,7 +152,8 @@ class SuspensionLaw:
         means[:n] = USUAL[:n] + DEVIATIONS[:n] * slopes
         wide[:n, :n] = DEVIATIONS[:n, None] * covariance * DEVIATIONS[:n]
         speeds = self.healthy_m_per_s if by_speed else (None, None)
-        return type(self)(self.healthy_c, speeds, tuple(means.tolist()), _rows(wide))
+        own = tuple(own_speeds.tolist())
+        return type(self)(self.healthy_c, speeds, tuple(means.tolist()), _rows(wide), own)
 
     def conditions(self, temperature_c: float | None, speeds_m_per_s: FloatArray) -> FloatArray:
         """Return what each slope of a trip is multiplied by, (7,); 0 where it is not known.
@@ -162,13 +173,12 @@ class SuspensionLaw:
     ) -> tuple[FloatArray, FloatArray]:
         """Return by how much parts read are off, and the covariance of their logarithms by slopes.
 
-        Shapes (n_names,) and (n_names, n_names). They were read under `conditions` (7,), and their
-        own dampers are faster than these say by factors with the logarithms `faster` (n_names,).
-        The errors of the slopes are the same for all parts of a kind.
+        Shapes (n_names,) and (n_names, n_names). They were read under `conditions` (7,), and
+        ``DAMPERS`` are faster than these say by factors with the logarithms `faster` (12,). The
+        errors of the slopes are the same for all parts of a kind.
         """
-        follow, by_speed = follows(names).T, np.arange(len(SLOPES)) >= N_OF_TEMPERATURE
-        own = follow * np.outer(faster, by_speed)
-        factors = follow * conditions + own
+        own = (faster @ by_dampers(names)).T
+        factors = follows(names).T * conditions + own
         return own @ np.array(self.slopes), factors @ np.array(self.covariance) @ factors.T
 
 
@@ -182,3 +192,31 @@ def follows(names: Sequence[str]) -> FloatArray:
         for slope in SLOPES
     ]
     return np.array(of_slopes, float)
+
+
+def by_dampers(names: Sequence[str]) -> FloatArray:
+    """Return by how much each slope of a number follows the speed of each damper, (7, 12, n_names).
+
+    1 for one of ``DAMPERS`` and the spring beside it, equal shares where all of a kind are one.
+    """
+    places = [name.replace("k_", "c_") for name in names]
+    of_damper = np.array([[place in (d, d[:3]) for place in places] for d in DAMPERS], float)
+    shares = of_damper / np.maximum(1, of_damper.sum(axis=0))
+    kinds = [name.removeprefix("other_")[:3] for name in names]
+    return np.array(
+        [
+            shares * (by_speed * np.array([kind == slope.number for kind in kinds]))
+            for slope, by_speed in zip(SLOPES, BY_SPEED, strict=True)
+        ]
+    )
+
+
+def beyond_pairs(own_speeds: FloatArray, conditions: FloatArray) -> FloatArray:
+    """Return how much faster each of ``DAMPERS`` is than `conditions` (..., 7) say, (..., 12).
+
+    `own_speeds` (..., 12) are the logarithms of their speeds over those of the healthy trips.
+    """
+    of_speed = {slope.number: i for i, slope in enumerate(SLOPES) if BY_SPEED[i]}
+    of_pairs = [of_speed[name.removeprefix("other_")[:3]] for name in DAMPERS]
+    beyond: FloatArray = own_speeds - conditions[..., of_pairs]
+    return beyond

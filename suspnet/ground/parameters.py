@@ -27,6 +27,8 @@ COMPONENTS = (
 """Springs and dampers of the measured bogie one by one, and the car-body mass."""
 BODY_MASS = "M_s"  # name of the car-body mass, which varies with the payload from trip to trip
 BOGIE_PARTS = COMPONENTS[:-1]  # the springs and dampers alone
+DAMPERS = tuple(p + name for p in ("", "other_") for name in BOGIE_PARTS if name[0] == "c")
+"""The dampers of the measured bogie, then those of the other one."""
 ALL_PARTS = "all twelve parts"  # text for all of ``BOGIE_PARTS``
 ESTIMATED = (*PARAMETERS, *BOGIE_PARTS)
 """Everything that a trip may have an estimate of: of the parameters of both sides and axles as

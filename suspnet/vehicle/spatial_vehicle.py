@@ -15,7 +15,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from suspnet.ground.parameters import BOGIE_PARTS, COMPONENTS
+from suspnet.ground.parameters import COMPONENTS, DAMPERS
 from suspnet.ground.settings import check_choice, setting
 from suspnet.ground.tensors import as_tensor
 from suspnet.vehicle.motion import LinearSystem
@@ -207,14 +207,13 @@ class SpatialVehicle(VehicleFamily):
         return alone_responses(self._layout, self._in_si, self.places, rows, omega)
 
     def strokes(self, ratios: ArrayLike, frequencies_hz: ArrayLike) -> Tensor:
-        """Return the stroke of each damper of the measured bogie for each input, metre per metre.
+        """Return the stroke of each of ``DAMPERS`` for each input, metre per metre.
 
-        Complex, (n_vehicles, n_inputs, 6, n_freq), [-], scaled as `channels`; in series with a
+        Complex, (n_vehicles, n_inputs, 12, n_freq), [-], scaled as `channels`; in series with a
         bushing it is that of the damper alone. ValueError as of `channels`.
         """
         rows, omega = self._rows(ratios), self._bins(frequencies_hz)
-        dampers = [name for name in BOGIE_PARTS if name.startswith("c_")]
-        return strokes(self._layout, self._in_si, self.places, rows, omega, dampers)
+        return strokes(self._layout, self._in_si, self.places, rows, omega, DAMPERS)
 
     def channels_along(
         self,

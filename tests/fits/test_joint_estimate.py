@@ -30,9 +30,9 @@ def half_widths(of, logs):
     """Return the half widths of the intervals of trips with the noise of the healthy ones."""
     widths = []
     for log in logs:
-        beyond = beyond_noise(of, np.append(log, 0.0))[:-1, :-1]
+        beyond = beyond_noise(of, np.append(log, 0.0), LEVEL)[:-1, :-1]
         widths.append(np.sqrt(np.diag(np.array(of.scatter.noise) + beyond)))
-    return Z * of.scatter.student(LEVEL) * np.array(widths)
+    return Z * np.array(widths)
 
 
 def test_one_trip_keeps_its_interval():
@@ -48,20 +48,18 @@ def test_estimate_is_that_of_the_formula():
     logs = 0.02 * np.random.default_rng(1).standard_normal((3, 12))
     logs[:, 4] -= 0.3
     found = joint_estimate(of, logs, half_widths(of, logs), LEVEL)
-    noise, scatter = np.array(of.scatter.noise), of.scatter.covariance
+    noise, scatter = np.array(of.scatter.noise), of.scatter.widened(LEVEL)
     total = noise + scatter
     np.testing.assert_allclose(np.log(found.values), logs.mean(axis=0), rtol=1e-9)
-    wear = beyond_noise(of, np.append(logs.mean(axis=0), 0.0))[:-1, :-1] - scatter
+    wear = beyond_noise(of, np.append(logs.mean(axis=0), 0.0), LEVEL)[:-1, :-1] - scatter
     expected = (6 / 7) * total / 3 + total / 7 + wear
-    np.testing.assert_allclose(
-        found.covariance, of.scatter.student(LEVEL) ** 2 * expected, rtol=1e-9, atol=1e-15
-    )
+    np.testing.assert_allclose(found.covariance, expected, rtol=1e-9, atol=1e-15)
 
 
 def test_the_error_of_draws_is_that_of_the_covariance():
     """Each trip errs by itself, and all of them by what the mean of six healthy ones errs."""
     of, rng = bogie(), np.random.default_rng(2)
-    total = np.array(of.scatter.noise) + of.scatter.covariance
+    total = np.array(of.scatter.noise) + of.scatter.widened(LEVEL)
     root, n, errors = np.linalg.cholesky(total), 4, []
     for _ in range(2000):
         trips = rng.standard_normal((n + 6, 12)) @ root.T
@@ -70,9 +68,7 @@ def test_the_error_of_draws_is_that_of_the_covariance():
         errors.append(np.log(joint_estimate(of, logs, WIDTHS, LEVEL).values))
     found = np.cov(np.array(errors).T)
     stated = joint_estimate(of, np.zeros((n, 12)), WIDTHS, LEVEL).covariance
-    np.testing.assert_allclose(
-        np.diag(found), np.diag(stated) / of.scatter.student(LEVEL) ** 2, rtol=0.12
-    )
+    np.testing.assert_allclose(np.diag(found), np.diag(stated), rtol=0.12)
 
 
 WIDTHS = half_widths(bogie(), np.zeros((4, 12)))

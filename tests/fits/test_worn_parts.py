@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
+from scipy.stats import multivariate_normal, norm
+from scipy.stats import t as student_t
 from test_bogie_fit import VEHICLE
 
 from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScatter
@@ -129,12 +130,11 @@ def test_a_part_is_named_from_its_least_loss_on(misfit):
     scatter = HealthyScatter((1e-3, 5e-3, 1e-3, 2e-3), (0.0,) * 4, 6, noise)
     bogie = CommissionedBogie(VEHICLE, None, np.ones(6), misfit, True, scatter=scatter)
     losses = least_losses(bogie)
-    wider = scatter.student(0.9) ** 2
     for i, name in enumerate(COMPONENTS[:-1]):
         for loss, is_named in ((losses[name] + 2e-3, True), (losses[name] - 3e-3, False)):
             logs = np.zeros(13)
             logs[i] = np.log(1 - loss)
-            covariance = wider * beyond_noise(bogie, logs)
+            covariance = beyond_noise(bogie, logs, 0.9)
             worn = worn_parts(PartsEstimate(np.exp(logs), covariance, 1.0, True, 0.9))
             assert ([part.names for part in worn] == [(name,)]) == is_named
     assert losses["k_p_axle1_left"] < losses["c_p_axle1_left"] < 0.2
@@ -151,12 +151,15 @@ def scattering(own, n_trips):
     return CommissionedBogie(VEHICLE, None, np.ones(n_trips), 1.0, True, scatter=scatter)
 
 
+STUDENT = student_t.ppf(0.95, 2) / norm.ppf(0.95)
+
+
 def test_healthy_trips_accuse_as_often_as_draws_of_them():
     bogie, n = scattering(0.05, 3), 600
     rng = np.random.default_rng(7)
     spread = np.sqrt(2 / rng.chisquare(2, (n, 1)))
     logs = 0.005 * rng.standard_normal((n, 12)) + 0.05 * spread * rng.standard_normal((n, 12))
-    covariance = bogie.scatter.student(0.9) ** 2 * (0.005**2 + 0.05**2) * np.eye(13)
+    covariance = (0.005**2 + STUDENT**2 * 0.05**2) * np.eye(13)
     accused = [
         bool(worn_parts(PartsEstimate(np.exp(np.append(e, 0.0)), covariance, 1.0, True, 0.9)))
         for e in logs

@@ -46,7 +46,7 @@ def models(monkeypatch):
 def trips_of(levels, seed=0, part=PART):
     """Return the results of trips on which a part has these levels, read with noise."""
     rng, results = np.random.default_rng(seed), []
-    deviations = SCATTER.student(LEVEL) * np.sqrt(np.diag(NOISE))
+    deviations = np.sqrt(np.diag(NOISE))
     common = rng.multivariate_normal(np.zeros(12), NOISE / 7)
     for i, level in enumerate(levels):
         logs = common + rng.multivariate_normal(np.zeros(12), NOISE * 6 / 7)

@@ -18,10 +18,10 @@ What the vehicle does not explain of its healthy trips counts as errors of its r
 (`trains.spectra.model_errors`), and how their parts scatter if they are read as later ones is
 measured (`healthy_scatter`). The covariance of a later trip's parts is ::
 
-    tau^2 [max(1, mu)^2 C + V + (1 - 1 / max(1, mu_0)^2) D]
+    max(1, mu)^2 C + tau^2 V + (1 - 1 / max(1, mu_0)^2) D
 
 with C that of the posterior, mu the rms residual over that of noise and errors, V that of the
-scatter and tau Student's quantile over the normal one: few healthy trips tell little of both. D is
+scatter and tau Student's quantile over the normal one, as few healthy trips tell little of V. D is
 diagonal, the square of ``SENSITIVITY`` times the logarithm of the part, or times half the largest
 one: a vehicle that leaves mu_0 > 1 of its healthy trips moves differently with wear, too. With few
 sensors, or where all parts of a kind are read as one, ``SENSITIVITY_OF_FEW`` is in its place and
@@ -43,9 +43,9 @@ from scipy.stats import norm
 
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.estimate import Estimate, Flags
-from suspnet.estimation.suspension_law import SuspensionLaw
+from suspnet.estimation.suspension_law import SuspensionLaw, beyond_pairs
 from suspnet.estimation.trip_settings import LEAST_TRIPS
-from suspnet.ground.parameters import BOGIE_PARTS, COMPONENTS, PARAMETERS, kind_of
+from suspnet.ground.parameters import BOGIE_PARTS, COMPONENTS, DAMPERS, PARAMETERS, kind_of
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import ShortRepr
 from suspnet.trains.fits.bogie_misfit import EQUAL, SEPARATE, BogieMisfit
@@ -68,11 +68,11 @@ SENSITIVITY = {"k_p": 0.005, "c_p": 0.05, "k_s": 0.005, "c_s": 0.05}
 """Error of a part, as a fraction of the logarithm of the wear found, with an incomplete vehicle,
 from when the family knew fewer effects: set all of tests/rich_train.py, seeds 0 and 7, shows 0 of
 k_p, c_p and k_s, and 0.04 of c_s where it is not corrected by the speed of its damper."""
-SENSITIVITY_OF_FEW = {"k_p": 0.2, "c_p": 0.8, "k_s": 0.25, "c_s": 0.25}
+SENSITIVITY_OF_FEW = {"k_p": 0.25, "c_p": 1.0, "k_s": 0.3, "c_s": 0.3}
 """The same of less than ``LEAST_SENSORS``, which hardly tell errors of the vehicle from its
 numbers, and where all parts of a kind are read as one. By three on the left of set all, seeds 0 and
 7, misfits 1.11 and 1.15, the rms errors were 8, 34, 12 and 12 % of the wear, noise included: this
-is 2.2 times as much, by the factor of the misfit."""
+is 2.5 to 3 times as much, by the factor of the misfit."""
 MISFIT_OF_FEW = 1.05
 """Least misfit that they are taken to have: linear trains with flexible modes (seed 0) and with
 cross-axis sensitivity and noise (seed 7) had 0.94 and 0.97, and errors of 5 to 25 % of the wear."""
@@ -162,12 +162,13 @@ def fit_parts(
     covariance = posterior_covariance(fit, x, max(1.0, misfit) ** 2)[own, own]
     by_own_wear: FloatArray | float = 0.0
     if bogie.scatter is not None:
-        wider = bogie.scatter.student(level) ** 2
-        covariance = wider * (covariance + beyond_noise(bogie, x[own], len(noise)))
-        by_own_wear = wider * wear_errors(bogie, x[own], len(noise))[1]
+        covariance = covariance + beyond_noise(bogie, x[own], level, len(noise))
+        by_own_wear = wear_errors(bogie, x[own], len(noise))[1]
     names = PARAMETERS if equal else COMPONENTS
-    faster = fit.own_speeds(x) if fit.has_speeds else np.zeros(len(COMPONENTS))
-    by_speed, of_law = law.beside(names, conditions, np.linalg.pinv(ties) @ faster)
+    faster = np.zeros(len(DAMPERS))
+    if fit.has_speeds:
+        faster = beyond_pairs(fit.own_speeds(x)[0] - law.own_speeds, conditions)
+    by_speed, of_law = law.beside(names, conditions, faster)
     covariance = covariance + of_law
     covariance[-1, -1] += BOGIE_MASS_DEVIATION**2
     values = np.exp(x[own] - by_speed)
@@ -175,14 +176,14 @@ def fit_parts(
 
 
 def beyond_noise(
-    bogie: CommissionedBogie, logs: FloatArray, n_sensors: int | None = None
+    bogie: CommissionedBogie, logs: FloatArray, level: float, n_sensors: int | None = None
 ) -> FloatArray:
-    """Return the covariance V + (1 - 1 / mu_0^2) D of the logarithms of all parts and the mass.
+    """Return the covariance tau^2 V + (1 - 1 / mu_0^2) D of the logarithms of parts and mass.
 
     `logs` (13,) are those found, or (5,) of each kind; `n_sensors` found them, None: all.
     """
     assert bogie.scatter is not None
-    covariance: FloatArray = np.pad(bogie.scatter.covariance, (0, 1))
+    covariance: FloatArray = np.pad(bogie.scatter.widened(level), (0, 1))
     if len(logs) == len(PARAMETERS):
         tied = np.linalg.pinv(EQUAL)
         covariance = tied @ covariance @ tied.T
@@ -271,6 +272,7 @@ def commission_bogie(
     if end.bare_misfit <= EXPLAINED:  # errors of the physics widen it more
         covariance = bent(fit, x, covariance)
     posterior = fit.numbers.moved(x[:n], covariance[:n, :n])
+    own_speeds = fit.own_speeds(x).mean(axis=0) if fit.has_speeds else np.zeros(len(DAMPERS))
     carried = x[shared:].reshape(len(trips), -1)[:, fit.n_parts :]
     return CommissionedBogie(
         replace(fit.generator, distribution=posterior),
@@ -278,7 +280,7 @@ def commission_bogie(
         np.exp(carried[:, 0]),
         end.bare_misfit,
         end.converged,
-        law.fitted(x[n:shared], covariance[n:shared, n:shared]),
+        law.fitted(x[n:shared], covariance[n:shared, n:shared], own_speeds),
         fit.errors,
         healthy_scatter(fit, x),
         np.expm1(carried[:, 1:]) if carried.shape[1] > 1 else None,

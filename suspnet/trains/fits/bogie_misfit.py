@@ -19,9 +19,11 @@ from suspnet.estimation.suspension_law import (
     N_OF_TEMPERATURE,
     SLOPES,
     USUAL,
+    beyond_pairs,
+    by_dampers,
     follows,
 )
-from suspnet.ground.parameters import COMPONENTS, CORNERS, PARAMETERS, SIDES, Direction
+from suspnet.ground.parameters import COMPONENTS, PARAMETERS, Direction
 from suspnet.ground.types import FloatArray
 from suspnet.trains.fits.bogie_residuals import Residuals
 from suspnet.trains.spectra.bogie_trip import BogieTrip, smallest_noise
@@ -78,7 +80,8 @@ class BogieMisfit:
     None if it is that of the vehicle; its slopes (`suspnet.estimation.suspension_law`) are `slopes`
     (7,), or, None, follow z, in deviations from their prior. `errors` are those of the vehicle's
     responses (n_freq, n_sensors) [-], see `suspnet.trains.spectra.model_errors`. `chance` are the
-    standard deviations by which c_p and c_s differ by chance.
+    standard deviations by which c_p and c_s differ by chance. `faster` (n_trips, 12) are the
+    logarithms of how much faster each of ``DAMPERS`` is than `conditions` say, None: not at all.
     """
 
     generator: SpatialVehicle
@@ -91,6 +94,7 @@ class BogieMisfit:
     slopes: FloatArray | None = None
     errors: Tensor | None = None
     chance: tuple[float, float] = DAMPING_OF_TRIP
+    faster: FloatArray | None = None
 
     def __post_init__(self) -> None:
         for trip in self.trips:
@@ -148,6 +152,11 @@ class BogieMisfit:
     def _follows(self) -> FloatArray:
         """Whether a column follows each slope, (7, n_columns)."""
         return follows(self.generator.columns)
+
+    @cached_property
+    def _by_dampers(self) -> FloatArray:
+        """By how much a column follows each slope by each damper's speed, (7, 12, n_columns)."""
+        return by_dampers(self.generator.columns)
 
     def _slopes_at(self, x: FloatArray) -> FloatArray:
         """Return the slopes of the suspension's law, (7,), 0 where the trips do not tell them."""
@@ -257,8 +266,9 @@ class BogieMisfit:
         """Return the sum of squares of some of the trips."""
         noises = [self.noises[i] for i in numbers]
         conditions = None if self.conditions is None else self.conditions[list(numbers)]
+        faster = None if self.faster is None else self.faster[list(numbers)]
         trips = [self.trips[i] for i in numbers]
-        return replace(self, noises=noises, trips=trips, conditions=conditions)
+        return replace(self, noises=noises, trips=trips, conditions=conditions, faster=faster)
 
     def at(self, spread: float, bins: Tensor) -> Residuals:
         """Return the residuals at chosen bins, where the model may err by that share of a signal.
@@ -374,29 +384,27 @@ class BogieMisfit:
         return replace(fit, trips=trips)
 
     def own_speeds(self, x: FloatArray) -> FloatArray:
-        """Return how much faster the damper beside each part is than the pairs of sensors show.
+        """Return the logarithm of the speed [m/s] of each of ``DAMPERS``, (n_trips, 12).
 
-        It is by how much the parts found on one later trip change the logarithm of the damper's
-        speed over that of the pairs, (13,), 0 of the mass.
+        The inputs are those that the vehicle at x explains the trip best with.
         """
-        trip, noise = self.trips[0], self.noises[0]
-        healthy, first = x.copy(), self.n_shared + self.n_free
-        healthy[first : self.n_shared + self.n_parts] = 0.0
-        used, omega = trip.of(self.all_bins), 2 * torch.pi * self.frequencies_hz
-        points = x, healthy
-        both = [self._responses_at(at, 0, self.frequencies_hz) for at in points]
-        inputs, ratios = _input_spectra(trip.spectra, noise, both[0]), []
-        for at, responses in zip(points, both, strict=True):
-            responses = responses.permute(2, 1, 0)
-            values = responses @ inputs @ responses.mH
-            expected = replace(trip, spectra=replace(trip.spectra, values=values))
-            pairs = np.nan_to_num(np.log(expected.damper_speeds(self.generator.places)))
-            strokes = self._of(trip).strokes(self._rows(at, 0), self.frequencies_hz)
-            strokes = self._on_rails(at, 0, strokes[0, self._inputs]).permute(2, 1, 0)
+        every, omega = [], 2 * torch.pi * self.frequencies_hz
+        width_hz = float(self.frequencies_hz[:2].diff())
+        for i, (trip, noise) in enumerate(zip(self.trips, self.noises, strict=True)):
+            responses = self._responses_at(x, i, self.frequencies_hz)
+            inputs = _input_spectra(trip.spectra, noise, responses)
+            strokes = self._of(trip).strokes(self._rows(x, i), self.frequencies_hz)
+            strokes = self._on_rails(x, i, strokes[0, self._inputs]).permute(2, 1, 0)
             power = (strokes @ inputs * strokes.conj()).real.sum(dim=2) / omega[:, None] ** 2
-            speeds = np.log(power[used].sum(dim=0).numpy()) / 2
-            ratios.append(speeds - pairs.repeat((len(CORNERS), len(SIDES))))
-        return np.append(np.repeat(ratios[0] - ratios[1], 2), 0.0)  # of spring and damper
+            every.append(power[trip.of(self.all_bins)].sum(dim=0) * width_hz)
+        return np.asarray(np.log(torch.stack(every).numpy()) / 2)
+
+    def with_own_speeds(self, x: FloatArray) -> BogieMisfit:
+        """Return the fit of healthy trips with each damper at its own speed, as at x."""
+        if not self.has_speeds or self.conditions is None:
+            return self
+        own = self.own_speeds(x)
+        return replace(self, faster=beyond_pairs(own - own.mean(axis=0), self.conditions))
 
     def with_errors_at(self, x: FloatArray) -> BogieMisfit:
         """Return the fit with noise, and errors of the model that the trips show, at x."""
@@ -418,7 +426,13 @@ class BogieMisfit:
         n = self.n_slopes
         if self.conditions is None:
             return self._follows[:n]
-        return np.asarray((self.conditions[i] * DEVIATIONS)[:n, None] * self._follows[:n])
+        return DEVIATIONS[:n, None] * self._conditions_of(i)[:n]
+
+    def _conditions_of(self, i: int) -> FloatArray:
+        """Return what each slope is multiplied by for each column on trip i, (7, n_columns)."""
+        assert self.conditions is not None
+        factors: FloatArray = self.conditions[i][:, None] * self._follows
+        return factors if self.faster is None else factors + self.faster[i] @ self._by_dampers
 
     @cached_property
     def _inputs(self) -> list[int]:
@@ -461,7 +475,7 @@ class BogieMisfit:
         rows[:, self._loads] = torch.as_tensor(np.expm1(loads))
         if self.conditions is None:
             return rows, torch.ones_like(rows)
-        logs = self.conditions[i] * self._slopes_at(x) @ self._follows
+        logs = self._slopes_at(x) @ self._conditions_of(i)
         factors = torch.as_tensor(np.exp(logs + free[: self.n_chance] @ self._by_chance))
         # a loss below 0, which is none, does not change
         return rows, torch.where(rows > 0, factors, 1.0)

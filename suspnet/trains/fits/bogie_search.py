@@ -118,6 +118,8 @@ def healthy_end(fit: BogieMisfit, further_parts: Sequence[str], explained: float
     errors hid that c_p and its bushing were 3 and 13 % off (scenario flexible_train).
     """
     near = freed(enriched(learnt_end(fit), further_parts))
+    at_end = with_chance_at(near.fit.with_own_speeds(near.x), near.x, at_end=True)
+    near = replace(near, fit=at_end)
     # a third of all bins where covariances are matched: there is little to gain
     tol = HEALTHY_TOLS[1] if near.fit.is_matched else THINNED_TOL
     x, converged = search(near.fit, near.x, 0.0, _thinned(near.fit), tol)

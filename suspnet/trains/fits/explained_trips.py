@@ -54,6 +54,7 @@ def explained_trips(
     if fit.n_load > 1 and bogie.loads_m is not None:
         own[:, fit.n_parts + 1 :] = np.log1p(bogie.loads_m)
     x = np.concatenate([np.zeros(fit.n_shared), own.ravel()])
+    fit = fit.with_own_speeds(x)
     expected = fit.as_expected(x)
     measured = replace(expected, trips=trips).exact  # with the same noise
     squares = [float(np.square(residuals).mean()) for residuals in measured.of_trips(x)]

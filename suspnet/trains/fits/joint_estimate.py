@@ -1,11 +1,11 @@
 """Several trips of one fault as one estimate.
 
-Trip i gives the logarithms e_i of the parts with the covariance tau^2 (T_i + D) of
-`suspnet.trains.fits.bogie_fit`, where T_i = C_i + V. Of T_i, the fraction f = 1 / (n + 1) is due to
-the n healthy trips that all are relative to, the rest to the trip alone. The estimate of them ::
+Trip i gives the logarithms e_i of the parts with the covariance T_i + D of
+`suspnet.trains.fits.bogie_fit`, where T_i = C_i + tau^2 V. Of T_i, the fraction f = 1 / (n + 1) is
+due to the n healthy trips that all are relative to, the rest to the trip alone. Their estimate ::
 
     e = W^-1 sum_i T_i^-1 e_i,    W = sum_i T_i^-1,
-    covariance = tau^2 [(1 - f) W^-1 + f mean_i T_i + D(e)]
+    covariance = (1 - f) W^-1 + f mean_i T_i + D(e)
 
 The intervals in a history give the diagonal of T_i; the correlations of C_i are those of the
 healthy trips' noise.
@@ -36,11 +36,10 @@ def joint_estimate(
     trips is not known, or the sensors do not show each part.
     """
     found = scatter_of_parts(bogie)
-    noise, scatter = np.array(found.noise), found.covariance
+    noise, scatter = np.array(found.noise), found.widened(level)
     sizes = np.sqrt(np.diag(noise))
     correlation = noise / sizes[:, None] / sizes
-    tau = found.student(level)
-    deviations = half_widths / norm.ppf((1 + level) / 2) / tau
+    deviations = half_widths / norm.ppf((1 + level) / 2)
     totals = []
     for of_trip, deviation in zip(logs, deviations, strict=True):
         variance = deviation**2 - np.diag(scatter) - _wear_errors(bogie, of_trip)[0]
@@ -51,8 +50,8 @@ def joint_estimate(
     joint = whole @ np.einsum("tij,tj->i", weights, logs)
     shared = 1 / (found.n_trips + 1)
     covariance = (1 - shared) * whole + shared * np.mean(totals, axis=0)
-    errors, own = (tau**2 * variances for variances in _wear_errors(bogie, joint))
-    covariance = tau**2 * covariance + np.diag(errors)
+    errors, own = _wear_errors(bogie, joint)
+    covariance = covariance + np.diag(errors)
     return PartsEstimate(np.exp(joint), covariance, 1.0, True, level, BOGIE_PARTS, own)
 
 

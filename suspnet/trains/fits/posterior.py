@@ -15,6 +15,10 @@ DRAWS = 60
 chi^2 = 4470 of a posterior without it, and at 94 with it, of 91 numbers."""
 
 
+LEAST_CHANCE = 1e-4
+"""Least standard deviation of the logarithms that dampers differ by from trip to trip."""
+
+
 def posterior_covariance(fit: BogieMisfit, x: FloatArray, excess: float) -> FloatArray:
     """Return the posterior covariance of all coordinates, residuals `excess` times as large.
 
@@ -71,16 +75,32 @@ def step_left(fit: BogieMisfit, x: FloatArray) -> float:
     return float(np.abs(rows @ step / deviations).max())
 
 
-def with_chance_at(fit: BogieMisfit, x: FloatArray) -> BogieMisfit:
+def with_chance_at(fit: BogieMisfit, x: FloatArray, *, at_end: bool = False) -> BogieMisfit:
     """Return the fit with the scatter of the dampers that healthy trips show at x.
 
-    With u_i what the dampers of a kind differ by on trip i, and V_i its variance, the square of
-    the standard deviation is the mean of u_i^2 + V_i: a step of expectation maximisation.
+    With u_i what the dampers of a kind differ by on trip i, V_i its variance and s the standard
+    deviation so far, s^2 becomes the mean of u_i^2 + V_i, a step of expectation maximisation. At
+    the end of a search it is at once what such steps lead to in the end (MacKay 1992, eq. 4.9), but
+    at least ``LEAST_CHANCE``^2 ::
+
+        sum_i u_i^2 / sum_i (1 - V_i / s^2)
+
+    so that it vanishes where the trips show none. A search from afar needs the play of the former.
     """
     if not fit.n_chance:
         return fit
-    own, n = x[fit.n_shared :].reshape(len(fit.trips), -1), fit.n_shared
-    variances = np.diag(posterior_covariance(fit, x, 1.0))[n:].reshape(own.shape)
-    squares = (own**2 + variances)[:, : fit.n_chance].mean(axis=0)
+
+    def of_chance(every: FloatArray) -> FloatArray:
+        return every[fit.n_shared :].reshape(len(fit.trips), -1)[:, : fit.n_chance]
+
+    own = of_chance(x)
+    if at_end:
+        slopes = fit.exact.jacobian(x)
+        variances = of_chance(np.diag(np.linalg.inv(slopes.T @ slopes)))
+        known = (1 - variances / np.square(fit.chance)).sum(axis=0)
+        squares = np.maximum(np.square(own).sum(axis=0) / known, LEAST_CHANCE**2)
+    else:
+        variances = of_chance(np.diag(posterior_covariance(fit, x, 1.0)))
+        squares = (np.square(own) + variances).mean(axis=0)
     c_p, c_s = np.sqrt(squares).tolist()
     return replace(fit, chance=(c_p, c_s))

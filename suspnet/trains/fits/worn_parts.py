@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScatter, student_factor
+from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScatter
 from suspnet.ground.findings import WORN, WORN_ONE_OF, Finding, together
 from suspnet.ground.parameters import BOGIE_PARTS, kind_of, part_words
 from suspnet.ground.tensors import threads
@@ -143,11 +143,11 @@ def least_losses(bogie: CommissionedBogie, level: float = 0.9) -> dict[str, floa
     sensors do not show each part.
     """
     scatter = scatter_of_parts(bogie)
-    noise, wider = np.pad(np.array(scatter.noise), (0, 1)), scatter.student(level) ** 2
+    noise = np.pad(np.array(scatter.noise), (0, 1))
 
     def unworn(logs: FloatArray) -> FloatArray:
         by_own_wear = np.diag(wear_errors(bogie, logs)[1])
-        return np.asarray(wider * (noise + beyond_noise(bogie, logs) - by_own_wear))
+        return np.asarray(noise + beyond_noise(bogie, logs, level) - by_own_wear)
 
     return _least_losses(unworn, level)
 
@@ -164,8 +164,7 @@ def expected_losses(
     """
     fit = healthy_misfit(vehicle, [trip])
     noise = expected_noise(fit, fit.start(), n_healthy)
-    wider = student_factor(n_healthy, level) ** 2
-    return _least_losses(lambda _: wider * noise, level)
+    return _least_losses(lambda _: noise, level)
 
 
 @threads(1)
@@ -178,7 +177,7 @@ def false_verdicts(bogie: CommissionedBogie, level: float = 0.9, seed: int = 0) 
         N(0, N + V (n - 1) / chi^2_(n - 1))
 
     which is Student's distribution where V is all, and each is judged as by `worn_parts`, with
-    tau^2 (N + V). ValueError as of `least_losses`.
+    N + tau^2 V. ValueError as of `least_losses`.
     """
     scatter = scatter_of_parts(bogie)
     noise, beyond = np.array(scatter.noise), scatter.covariance
@@ -186,7 +185,7 @@ def false_verdicts(bogie: CommissionedBogie, level: float = 0.9, seed: int = 0) 
     zeros, spread = np.zeros(len(noise)), np.sqrt(free / rng.chisquare(free, N_HEALTHY))
     logs = rng.multivariate_normal(zeros, noise, N_HEALTHY, method="eigh")
     logs += spread[:, None] * rng.multivariate_normal(zeros, beyond, N_HEALTHY, method="eigh")
-    covariance = scatter.student(level) ** 2 * (noise + beyond) + _usual()
+    covariance = noise + scatter.widened(level) + _usual()
     healthy = _log_probability(logs, covariance, [])
     accused = np.zeros(N_HEALTHY, dtype=bool)
     for event in _events([]):
