@@ -24,6 +24,7 @@ from suspnet.cli import check, options
 from suspnet.cli.config_files import CONFIGS
 from suspnet.cli.kinds import read_vehicles
 from suspnet.curves.welch import Welch
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.own_files import MARKER
 from suspnet.ground.parameters import BOGIE_PARTS
 from suspnet.ground.records import Place
@@ -166,6 +167,22 @@ def test_side_of_single_sensors_is_asked_for(manifests, tmp_path):
         path = changed(manifests[0], tmp_path, side=side)
         done = typed(check, path, "--no-pictures", "-o", tmp_path / str(side), cwd=tmp_path)
         assert (asked in done.stdout) == (side is None)
+
+
+@pytest.mark.parametrize(("misfit", "is_doubted"), [(1.5, False), (3.0, True)])
+def test_order_by_curves_is_no_doubt_where_parts_explain_single_sensors(
+    manifests, tmp_path, monkeypatch, misfit, is_doubted
+):
+    doubts = [Finding("order-unclear", order_words="x"), Finding("if-sure"), "no gains"]
+    monkeypatch.setattr(sensor_checks, "check_channels", lambda *_, **__: together(doubts))
+    monkeypatch.setattr(sensor_checks, "misfit_near", lambda *_: misfit)
+    for name in ("check_order", "check_end"):
+        monkeypatch.setattr(sensor_checks, name, lambda vehicle, trip, **_: None)
+    path = changed(manifests[0], tmp_path, side="right", direction="forward")
+    done = typed(check, path, "--no-pictures", "-o", tmp_path / "o", cwd=tmp_path)
+    for words in ("the order of the channels is not clear", "if you are sure, continue"):
+        assert (words in done.stdout) == is_doubted
+    assert "no gains" in done.stdout
 
 
 def test_pairs_are_named_and_mixed_sensors_told(manifests, tmp_path, monkeypatch):

@@ -12,7 +12,7 @@ from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.speeds import NoEstimateError, Speeds
 from suspnet.curves.welch import SegmentSpectra
 from suspnet.estimation.trip_settings import N_HEALTHY, TripSettings
-from suspnet.ground.findings import Finding
+from suspnet.ground.findings import Finding, kind_is, parts_of
 from suspnet.ground.parameters import Direction
 from suspnet.ground.tensors import threads
 from suspnet.trains.fits.healthy_misfit import HealthySpectra
@@ -29,6 +29,7 @@ from suspnet.trains.sensors.plausibility import (
     shown_direction,
 )
 from suspnet.trains.sensors.swapped_sensors import (
+    EXPLAINS,
     NEARLY,
     check_end,
     check_order,
@@ -42,6 +43,8 @@ from suspnet.vehicle import SpatialVehicle, Vehicle, VerticalVehicle, best_gener
 from suspnet.vehicle.quantities import show_parts
 
 NO_DIRECTION = Finding("direction-not-shown")
+BY_CURVES = ("speed-unit-wrong", "order-unclear", "if-sure")
+"""Findings of `check_channels` that are doubts of single sensors."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,11 @@ class ShownParts:
 
     vehicle: SpatialVehicle
     trip: BogieTrip
+
+    @property
+    def are_explained(self) -> bool:
+        """Whether the vehicle explains the trip, with its sensors in their order."""
+        return misfit_near(self.vehicle, self.trip) < EXPLAINS
 
     def least_losses(self) -> Mapping[str, float]:
         """Return the `expected_losses` of each part after ``N_HEALTHY`` trips like it, [-]."""
@@ -107,6 +115,11 @@ def check_sensors(
     each = [partial(check, chosen) for check in of_segments for chosen in checked]
     *_, shown_parts = all_of([*each, check_parts])
     frame_sensor = place.get("frame_sensor", "axle")
+    if not all(recording.paired) and isinstance(shown_parts, ShownParts):
+        # curves of single sensors ignore the roll that the parts explain
+        told = [part for doubt in doubts for part in parts_of(doubt)]
+        others = [part for part in told if not any(kind_is(part, kind) for kind in BY_CURVES)]
+        doubts = others if len(others) < len(told) and shown_parts.are_explained else told
     return tuple(dict.fromkeys(filter(None, doubts))), shown_parts, frame_sensor
 
 
