@@ -28,8 +28,8 @@ sensors, or where all parts of a kind are read as one, ``SENSITIVITY_OF_FEW`` is
 mu_0 at least ``MISFIT_OF_FEW``; the mass of the latter is no better known than before the trip if
 mu_0 is large. What is due to the wear of a part itself makes no part worn: verdicts are without it.
 The variance of M_s has that of the bogie's mass, too, to which accelerations show it relative; it
-does not count where trips are compared. What wear does to the speed of each damper corrects its
-part by the law of the suspension (`SuspensionLaw.beside`).
+does not count where trips are compared. The speed of each damper corrects its part by the law of
+the suspension (`SuspensionLaw.beside`).
 """
 
 from __future__ import annotations

@@ -115,7 +115,8 @@ def healthy_end(fit: BogieMisfit, further_parts: Sequence[str], explained: float
 
     It has those of the further parts that it needs, and its errors. If its misfit is at most
     `explained` without them, it has none, for the last search: learnt before the minimum, 1 % of
-    errors hid that c_p and its bushing were 3 and 13 % off (scenario flexible_train).
+    errors hid that c_p and its bushing were 3 and 13 % off (scenario flexible_train). The last
+    search also knows the speed of each damper, and how little dampers differ by chance.
     """
     near = freed(enriched(learnt_end(fit), further_parts))
     at_end = with_chance_at(near.fit.with_own_speeds(near.x), near.x, at_end=True)
