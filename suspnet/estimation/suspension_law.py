@@ -202,13 +202,10 @@ def by_dampers(names: Sequence[str]) -> FloatArray:
     places = [name.replace("k_", "c_") for name in names]
     of_damper = np.array([[place in (d, d[:3]) for place in places] for d in DAMPERS], float)
     shares = of_damper / np.maximum(1, of_damper.sum(axis=0))
-    kinds = [name.removeprefix("other_")[:3] for name in names]
-    return np.array(
-        [
-            shares * (by_speed * np.array([kind == slope.number for kind in kinds]))
-            for slope, by_speed in zip(SLOPES, BY_SPEED, strict=True)
-        ]
-    )
+    kinds = np.array([name.removeprefix("other_")[:3] for name in names])
+    numbers = np.where(BY_SPEED, [slope.number for slope in SLOPES], "")
+    follow: FloatArray = shares * (kinds == numbers[:, None])[:, None]
+    return follow
 
 
 def beyond_pairs(own_speeds: FloatArray, conditions: FloatArray) -> FloatArray:

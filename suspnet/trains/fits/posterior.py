@@ -97,7 +97,7 @@ def with_chance_at(fit: BogieMisfit, x: FloatArray, *, at_end: bool = False) -> 
     if at_end:
         slopes = fit.exact.jacobian(x)
         variances = of_chance(np.diag(np.linalg.inv(slopes.T @ slopes)))
-        known = (1 - variances / np.square(fit.chance)).sum(axis=0)
+        known = np.maximum((1 - variances / np.square(fit.chance)).sum(axis=0), LEAST_CHANCE**2)
         squares = np.maximum(np.square(own).sum(axis=0) / known, LEAST_CHANCE**2)
     else:
         variances = of_chance(np.diag(posterior_covariance(fit, x, 1.0)))
