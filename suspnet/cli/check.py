@@ -36,7 +36,7 @@ from suspnet.trains.trips.sensor_checks import NO_DIRECTION
 
 
 def check(arguments: Namespace) -> int:
-    """Check what the command line names and return the exit code."""
+    """Check what the command line names; return 0 if every trip could be read, else 1."""
     if arguments.workers is not None:
         check_number("--workers", arguments.workers, low=1, whole=True)
     options = vehicles_with(arguments.config_dir)
@@ -55,7 +55,7 @@ def check(arguments: Namespace) -> int:
     with speaking(arguments.language):
         page = write_checks(checks, elsewhere, output)
     print(f"{summary(checks, elsewhere)}\n-> {page}")
-    code = exit_code(checks, elsewhere)
+    code = int(bool(elsewhere) or any(check.state == PROBLEM for check in checks))
     names = {vehicle.name for vehicle in options.values()} | set(of_rigs)
     for line in next_steps(arguments, checks, names, code):
         print(printable(line))
@@ -88,11 +88,6 @@ def _check_one(
     path, picture, with_losses = item
     with speaking(language):
         return check_trip(path, replace(settings, with_losses=with_losses), picture, opened)
-
-
-def exit_code(checks: Sequence[TripCheck], elsewhere: Sequence[str]) -> int:
-    """Return 0 if every trip could be read, 1 otherwise."""
-    return int(bool(elsewhere) or any(check.state == PROBLEM for check in checks))
 
 
 def next_steps(
