@@ -62,14 +62,15 @@ class Board:
     Only suspensions whose revision in the store changed are read and recomputed; a long refresh
     shows more of them from time to time. Alarms are stored by the evaluation of the trips.
 
-    `store` is the file or URL of the history; a file may be created later.
+    `store` is the file or URL of the history; a file may be created later. `view` is the last view,
+    available at once even while the next one is computed.
     """
 
     def __init__(self, store: str, settings: BoardSettings) -> None:
         self.store = store
         self.settings = settings
         self._states: dict[Key, State] = {}
-        self._view = FleetView()
+        self.view = FleetView()
         self._revisions: dict[Key, int] = {}
         self._plan: Plan | None = None
         self._day = settings.day()
@@ -78,11 +79,6 @@ class Board:
         self._is_doubted = False
         self._lock = threading.Lock()
 
-    @property
-    def view(self) -> FleetView:
-        """The last view, available at once even while the next one is computed."""
-        return self._view
-
     def refresh(self) -> bool:
         """Recompute what changed in the store since the last call; return whether the view is new.
 
@@ -90,22 +86,22 @@ class Board:
         threads wait for each other.
         """
         with self._lock:
-            before = self._view
+            before = self.view
             try:
                 with History(self.store, wait_s=LOOK_S, must_exist=True) as history:
                     self._refresh(history)
             except HistoryError as error:
                 self._is_doubted = True  # it may be another store once it can be read again
-                if str(error) != self._view.trouble:
+                if str(error) != self.view.trouble:
                     log.warning("%s", error)
-                    version = self._view.version + 1
-                    self._view = replace(self._view, version=version, trouble=str(error))
-            return self._view is not before
+                    version = self.view.version + 1
+                    self.view = replace(self.view, version=version, trouble=str(error))
+            return self.view is not before
 
     def _refresh(self, history: History) -> None:
         revisions, day, file = history.revisions(), self.settings.day(), file_number(self.store)
         self._is_due |= day != self._day
-        bad = {row.key for row in self._view.bad_rows}  # they may have been corrected
+        bad = {row.key for row in self.view.bad_rows}  # they may have been corrected
         is_other = self._is_doubted or file != self._file
         changed = [
             key
@@ -121,15 +117,15 @@ class Board:
             self._show(history, states)
             self._day, self._is_due = day, False
         elif (
-            self._view.trouble
-            or history.all_acknowledgements() != self._view.acknowledged
-            or {*history.bad_rows} != {*self._view.bad_rows}
+            self.view.trouble
+            or history.all_acknowledgements() != self.view.acknowledged
+            or {*history.bad_rows} != {*self.view.bad_rows}
         ):
             self._show(history, by_urgency(self._states.values()))
 
     def _read(self, history: History, revisions: dict[Key, int], changed: list[Key]) -> None:
         """Compute the states of suspensions whose trips changed."""
-        if self._view.bad_rows or {*changed} - self._revisions.keys():
+        if self.view.bad_rows or {*changed} - self._revisions.keys():
             history.all_alarms()  # rows of alarms that cannot be read are shown
         self._forget(self._states.keys() - revisions.keys())
         waiting = {*changed}
@@ -173,8 +169,8 @@ class Board:
         self, history: History, states: Sequence[State], waiting: Collection[Key] = ()
     ) -> None:
         """Show states, among which those of `waiting` suspensions are not current."""
-        self._view = FleetView(
-            version=self._view.version + 1,
+        self.view = FleetView(
+            version=self.view.version + 1,
             states=tuple(states),
             plan=self._plan,
             acknowledged=history.all_acknowledgements(),
