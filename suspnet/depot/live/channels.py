@@ -76,12 +76,10 @@ class Webhook:
         url = urlsplit(self.url)
         target = (url.path or "/") + (f"?{url.query}" if url.query else "")
         host = url.hostname or ""
-        client = http.client.HTTPConnection(host, url.port, timeout=TIMEOUT_S)
-        if url.scheme == "https":
-            context = ssl.create_default_context()
-            client = http.client.HTTPSConnection(host, url.port, timeout=TIMEOUT_S, context=context)
+        is_https = url.scheme == "https"
+        kind = http.client.HTTPSConnection if is_https else http.client.HTTPConnection
         try:
-            with closing(client):
+            with closing(kind(host, url.port, timeout=TIMEOUT_S)) as client:
                 client.request("POST", quote(target, safe=punctuation), body, headers)
                 # the content of the answer is not read: it may be of any size, or never end
                 status = client.getresponse().status
