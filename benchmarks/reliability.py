@@ -31,6 +31,7 @@ from suspnet.estimation.estimate import KINDS
 from suspnet.estimation.from_curves import estimate_curves
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.types import BoolArray, FloatArray
+from suspnet.learning import MVGPR
 from suspnet.learning.metrics import covers, interval_scores
 from suspnet.runs.evaluate import FreshCurves, find_runs
 from suspnet.runs.predict import Outcome, predict_stream
@@ -76,7 +77,7 @@ def _intervals(
             intervals.ends(outcome.predicted, scales, LEVEL, joint) for joint in (False, True)
         )
     }
-    if model.estimator.gives_deviations and not model.refined:
+    if isinstance(model.estimator, MVGPR) and not model.refined:
         n_outputs = len(problem.task.outputs)
         kinds["GP's own"] = tuple(
             _gp_intervals(model, outcome.data.inputs, level)

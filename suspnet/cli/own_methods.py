@@ -18,8 +18,6 @@ from suspnet.runs.tables import MODEL_TITLES, REFINED
 NAME = re.compile(r"[a-z][a-z0-9_]*", re.ASCII)
 METHOD_NAMES = ("fit", "predict", "get_params", "set_params", "state", "restore")
 """Attributes that a registered method must have."""
-FLAGS = ("works_on_curves", "gives_deviations")
-"""Class attributes of ``METHODS``; a registered method that lacks one gets False."""
 FEATURE_NAMES = ("kind", "positive", "parts", "names", "extract", "missing", "relative")
 """Attributes that a registered feature set must define itself."""
 WITH_DEFAULTS = ("is_fitted", "fitted", "blank", "state", "restored")
@@ -59,9 +57,8 @@ def register_method(name: str, cls: type, title: str | None = None) -> None:
     if any(title == other for key, other in MODEL_TITLES.items() if key != name):
         raise ValueError(f"`title` {title!r} is that of another method")
     settings = _defaults(name, cls)
-    for flag in FLAGS:
-        if not hasattr(cls, flag):
-            setattr(cls, flag, False)
+    if not hasattr(cls, "works_on_curves"):
+        cls.works_on_curves = False  # type: ignore[attr-defined]
     METHODS[name] = cls
     MODEL_TITLES[name], MODEL_TITLES[name + REFINED] = title, f"{title} refined"
     KINDS["model"][name] = cls

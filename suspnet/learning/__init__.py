@@ -17,9 +17,8 @@ METHODS: dict[str, Any] = {
 }
 """Every method by the name of its file in configs/model/.
 
-In addition to scikit-learn's interface each has `state`, `restore` and two flags:
-`works_on_curves` (it fits curves, not features) and `gives_deviations`
-(``predict(X, return_std=True)`` also returns standard deviations).
+In addition to scikit-learn's interface each has `state`, `restore` and the flag `works_on_curves`
+(it fits curves, not features).
 """
 
 __all__ = [

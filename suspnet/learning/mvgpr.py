@@ -4,7 +4,7 @@ import math
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 import torch
@@ -110,8 +110,6 @@ class MVGPR(Regressor):
     callback: Callable[[LikelihoodEvaluation], None] | None = setting(
         None, "Function called after each evaluation, which train.py sets itself", rule="null"
     )
-
-    gives_deviations: ClassVar[bool] = True
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
         """Fit to samples (n_samples, n_inputs) and outputs (n_samples,) or (.., n_outputs)."""

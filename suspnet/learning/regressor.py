@@ -17,7 +17,6 @@ class MethodFlags:
     """What programs must know of a method, see `METHODS`; the defaults suit most methods."""
 
     works_on_curves: ClassVar[bool] = False
-    gives_deviations: ClassVar[bool] = False
 
 
 class Regressor(MethodFlags, MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc]
