@@ -42,11 +42,6 @@ def method_name(estimator: Any) -> str:
     )
 
 
-def flag(estimator: Any, name: str) -> bool:
-    """Return a class flag of ``METHODS``; False for a regressor that does not have it."""
-    return bool(getattr(estimator, name, False))
-
-
 def tune(problem: Problem, estimator: Any, search: GridSearch, run_log: RunLog) -> SearchResult:
     """Return the cross-validated RMSE of every setting of a search, on the training curves."""
     name = method_name(estimator)
@@ -97,7 +92,7 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
     )
     training: dict[str, Any] = {"seed": problem.seed, "seconds": 0.0}
     # methods that work on curves learn nothing: they fit the model's own curve to each
-    if not flag(estimator, "works_on_curves"):
+    if not getattr(estimator, "works_on_curves", False):
         data = problem.features(TRAIN)
         complete = data.complete(problem.extractor)
         n_made, n_complete = len(data.inputs), len(complete.inputs)

@@ -28,7 +28,6 @@ from suspnet.estimation.intervals import Conformal, Intervals, residuals
 from suspnet.estimation.refine import Refined
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.types import FloatArray
-from suspnet.runs.fit import flag
 
 N_FITS, N_UNCERTAIN_FITS = 2048, 48
 """Refined calibration curves from which the usual misfit is learnt; the second number applies
@@ -92,7 +91,7 @@ def regress_stream(
     problem: Problem, model: FittedMethod, data: FeatureData, stream: int
 ) -> FloatArray:
     """Return the regression's estimates, (n_curves, n_outputs); NaN where a feature is missing."""
-    if not flag(model.estimator, "works_on_curves"):
+    if not getattr(model.estimator, "works_on_curves", False):
 
         def batch(start: int) -> FloatArray:
             inputs = data.inputs[start : start + BATCH]
@@ -188,7 +187,7 @@ def _is_corrected(problem: Problem, model: FittedMethod, data: FeatureData) -> b
     task = model.task
     if (
         not isinstance(problem.observer, EstimateObserver)
-        or flag(model.estimator, "works_on_curves")
+        or getattr(model.estimator, "works_on_curves", False)
         or not set(task.unknown) <= set(task.outputs)
         or task.mass_known
         or not model.log
