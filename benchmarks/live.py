@@ -29,6 +29,7 @@ from array import array
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +38,7 @@ import torch
 from suspnet.depot.live.journal import Journal
 from suspnet.depot.live.monitor import Monitor
 from suspnet.depot.live.replay import Replay
-from suspnet.depot.live.results import Results
+from suspnet.depot.live.results import report
 from suspnet.depot.live.sections import LiveSettings
 from suspnet.depot.live.suspension import LiveSuspension
 from suspnet.estimation.checkpoint import load_model
@@ -230,8 +231,7 @@ def main() -> None:
         ]
         source, before_mib = Repeated(frames, given.hours), _memory_mib()
         with History(folder / "fleet.db") as store, Journal(folder / "journal") as journal:
-            results = Results(store, settings)
-            monitor = Timed(several, source, journal, results.report)
+            monitor = Timed(several, source, journal, partial(report, store, settings))
             monitor.source, source.is_busy = source, monitor.is_busy
             monitor.took_ms, monitor.delays_ms = array("d"), array("d")  # eight bytes each
             wall, start = time.perf_counter(), time.process_time()

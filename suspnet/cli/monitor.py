@@ -2,7 +2,9 @@
 
 import logging
 import sys
+from collections import Counter
 from contextlib import closing, nullcontext
+from functools import partial
 from pathlib import Path
 
 from omegaconf import DictConfig
@@ -12,7 +14,7 @@ from suspnet.cli.kinds import build, named_runs
 from suspnet.depot.live.journal import Journal
 from suspnet.depot.live.monitor import Monitor
 from suspnet.depot.live.notifier import Notifier, read_rules
-from suspnet.depot.live.results import Results
+from suspnet.depot.live.results import report
 from suspnet.depot.live.suspension import read_suspensions
 from suspnet.estimation.checkpoint import load_model
 from suspnet.trains.history import History
@@ -43,8 +45,8 @@ def main(config: DictConfig) -> None:
         closing(source),
         nullcontext() if rules is None else closing(Notifier(store, rules)) as notifier,
     ):
-        results = Results(store, settings)
-        monitor = Monitor(suspensions, source, journal, results.report, live.idle_s)
+        store_result = partial(report, store, settings)
+        monitor = Monitor(suspensions, source, journal, store_result, live.idle_s)
         n_frames = monitor.resume()
         log.info("%d suspensions; %d frames from %s", len(suspensions), n_frames, config.journal)
         if notifier is not None:
@@ -55,7 +57,6 @@ def main(config: DictConfig) -> None:
             log.info("frames: %s", words(monitor.counts + source.counts))
 
 
-def words(counts: dict[str, int]) -> str:
+def words(counts: Counter[str]) -> str:
     """Return counts as text, the largest first."""
-    largest = sorted(counts.items(), key=lambda item: -item[1])
-    return ", ".join(f"{n} {name}" for name, n in largest) or "none"
+    return ", ".join(f"{n} {name}" for name, n in counts.most_common()) or "none"

@@ -3,7 +3,7 @@ import os
 import signal
 import threading
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from trip_fixtures import OUTPUTS, model_at, recalled_trip, small_fleet
 
 from suspnet.depot.live.journal import Journal, JournalError
 from suspnet.depot.live.monitor import Monitor
-from suspnet.depot.live.results import Results
+from suspnet.depot.live.results import report
 from suspnet.depot.live.sections import LiveSettings
 from suspnet.depot.live.suspension import EstimateJob, LiveSuspension, read_suspensions
 from suspnet.estimation.trip_settings import TripSettings
@@ -44,8 +44,8 @@ def suspensions(fleet, live=LIVE, **changes):
 def monitored(folder, fleet, source, live=LIVE, **options):
     """Run a monitor until its source ends; return what the store has then."""
     with History(folder / "fleet.db") as store, Journal(folder / "journal") as journal:
-        results = Results(store, SETTINGS)
-        monitor = Monitor(suspensions(fleet, live), source, journal, results.report, **options)
+        store_result = partial(report, store, SETTINGS)
+        monitor = Monitor(suspensions(fleet, live), source, journal, store_result, **options)
         monitor.resume()
         monitor.run()
     return kept(folder, fleet), monitor
@@ -264,8 +264,8 @@ def test_a_suspension_that_falls_silent_is_told_and_goes_on_as_another_trip(tmp_
         return now_s[0]
 
     with History(tmp_path / "fleet.db") as store, Journal(tmp_path / "journal") as journal:
-        results, (one,) = Results(store, SETTINGS), suspensions(fleet)
-        monitor = Monitor([one], source, journal, results.report, 1500.0, clock, AtOnce())
+        store_result, (one,) = partial(report, store, SETTINGS), suspensions(fleet)
+        monitor = Monitor([one], source, journal, store_result, 1500.0, clock, AtOnce())
         monitor.run()
     first, second = kept(tmp_path, fleet)
     expected = recalled_trip(fleet[0], [model_at()], SETTINGS.trips)

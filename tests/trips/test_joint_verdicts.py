@@ -9,7 +9,7 @@ from scipy.stats import norm
 from vehicles import AM96
 
 from suspnet import SpatialVehicle
-from suspnet.depot.live.results import Results
+from suspnet.depot.live.results import report
 from suspnet.depot.live.suspension import SectionEstimate
 from suspnet.estimation.bogie_model import BogieModel
 from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScatter
@@ -91,9 +91,9 @@ def test_a_monitor_stores_what_several_trips_name(models, tmp_path, caplog):
     assert joint[-1].worn != alone[-1].worn
     suspension = SimpleNamespace(name="S", models=models)
     with History(tmp_path / "history.db") as store:
-        results = Results(store, FleetSettings(TripSettings()))
+        settings = FleetSettings(TripSettings())
         for one in [*alone, alone[-1]]:  # the last one twice, as after a kill
-            results.report(suspension, SectionEstimate(one, {}, 1000.0))
+            report(store, settings, suspension, SectionEstimate(one, {}, 1000.0))
         stored = store.read(AM96.name, Place())
     assert [one.worn for one in stored] == [one.worn for one in joint]
     assert str(joint[-1].worn) in caplog.text

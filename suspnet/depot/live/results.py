@@ -20,35 +20,28 @@ parked all night leaves no trips."""
 WAIT_S = 5.0  # time until an unavailable store is tried again, [s]
 
 
-class Results:
-    """Stores the estimates and alarms of suspensions.
+def report(
+    store: History, settings: FleetSettings, suspension: LiveSuspension, estimate: SectionEstimate
+) -> None:
+    """Store an estimate, which raises and clears alarms by the settings, and log it.
 
-    `settings` has limits and detector of the alarms.
+    A trip also names what it shows with those stored before it. The operation is idempotent: the
+    same estimate replaces the stored one. It blocks while the store is unavailable.
     """
-
-    def __init__(self, store: History, settings: FleetSettings) -> None:
-        self._store, self._settings = store, settings
-
-    def report(self, suspension: LiveSuspension, estimate: SectionEstimate) -> None:
-        """Store an estimate, which raises and clears alarms, and log it.
-
-        A trip also names what it shows with those stored before it. The operation is idempotent:
-        the same estimate replaces the stored one. It blocks while the store is unavailable.
-        """
-        result, settings, models = estimate.result, self._settings, suspension.models
-        has_moved = result.status == OK or estimate.distance_km >= MIN_KM
-        is_stored = result.status == ERROR or not has_moved
-        limits = settings.limits_of(models)
-        while not is_stored:  # ends: when the store is available, or with the process
-            try:
-                last = [*self._store.last_before(result, N_LAST - 1), result]
-                result = with_joint_verdicts(last, models, settings.trips.level)[-1]
-                keep_trips([result], result.place, models, limits, settings.changes, self._store)
-                is_stored = True
-            except HistoryError as error:
-                log.warning("%s; retrying every %g s, no result is lost", error, WAIT_S)
-                time.sleep(WAIT_S)
-        log.info("%s %s", suspension.name, summary(replace(estimate, result=result)))
+    result, models = estimate.result, suspension.models
+    has_moved = result.status == OK or estimate.distance_km >= MIN_KM
+    is_stored = result.status == ERROR or not has_moved
+    limits = settings.limits_of(models)
+    while not is_stored:  # ends: when the store is available, or with the process
+        try:
+            last = [*store.last_before(result, N_LAST - 1), result]
+            result = with_joint_verdicts(last, models, settings.trips.level)[-1]
+            keep_trips([result], result.place, models, limits, settings.changes, store)
+            is_stored = True
+        except HistoryError as error:
+            log.warning("%s; retrying every %g s, no result is lost", error, WAIT_S)
+            time.sleep(WAIT_S)
+    log.info("%s %s", suspension.name, summary(replace(estimate, result=result)))
 
 
 def summary(estimate: SectionEstimate) -> str:
