@@ -55,13 +55,12 @@ def open_mat_5(path: Path) -> Iterator[OpenFile]:
     loaded = []
     for name, shape, kind in variables:
         is_number = kind in NUMERIC
-        if kind in ("struct", "cell", "object"):
-            loaded.append(name)
-        elif math.prod(shape) <= (MOST_NOTE_BYTES if kind == "char" else is_number):
+        is_nested = kind in ("struct", "cell", "object")
+        if is_nested or math.prod(shape) <= (MOST_NOTE_BYTES if kind == "char" else is_number):
             loaded.append(name)
         if is_number:
             columns[name] = _Variable(path, name, shape)
-        elif kind not in ("struct", "cell", "object", "char"):
+        elif not is_nested and kind != "char":
             refused[name] = f"holds {kind}, not numbers"
     # the contents of structs and cells are columns of their own, by their path
     how = {"appendmat": False, "struct_as_record": False, "squeeze_me": True}
