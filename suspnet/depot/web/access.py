@@ -4,6 +4,7 @@ import hmac
 import ipaddress
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import cast
 
@@ -114,10 +115,8 @@ def _named(access: Access) -> Visitor:
     if not any(peer and peer in ipaddress.ip_network(proxy) for proxy in access.trusted_proxies):
         raise Forbidden("These pages are open through their reverse proxy only.")
     name = request.headers.get(access.user_header, "").strip()
-    try:
+    with suppress(UnicodeError):  # a proxy that sends Latin-1
         name = name.encode("latin-1").decode("utf-8")
-    except UnicodeError:
-        pass  # a proxy that sends Latin-1
     # a comma: a second header, which the visitor may have added to that of the proxy
     if not name or len(name) > MAX_NAME or "," in name or not name.isprintable():
         raise Forbidden(
