@@ -71,7 +71,7 @@ def sensor_words(state: State) -> str:
 
     A sensor without a usable sample on the newest trip, by its share of drop-outs, is dead.
     """
-    texts = [] if state.series.sensors is None else [*filter(None, state.series.sensors.tolist())]
+    texts = [*filter(None, state.series.sensors.tolist())]
     dead = [] if not texts else _dead_in(texts[-1])
     n_dead = sum(bool(_dead_in(text)) for text in texts) if dead else 0
     alarms = [
