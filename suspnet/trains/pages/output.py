@@ -276,10 +276,14 @@ def write_fleet(view: overview.FleetView, plan: Plan, figure: Figure, output: Pa
 
 
 def _write_table_of(rows: Sequence[Mapping[str, Any]], output: Path) -> list[dict[str, Any]]:
-    """Write the overview as a table, and return its rows, each with the columns of all."""
-    rows = overview.same_columns(rows)
-    write_table(pa.Table.from_pylist(rows), output / "overview")
-    return rows
+    """Write the overview as a table, and return its rows, each with the columns of all.
+
+    A row has NaN in those that it lacks, as of parts not read.
+    """
+    names = dict.fromkeys(name for row in rows for name in row)
+    whole = [{name: row.get(name, np.nan) for name in names} for row in rows]
+    write_table(pa.Table.from_pylist(whole), output / "overview")
+    return whole
 
 
 def _write_fleet_page(rows: Sequence[Mapping[str, Any]], output: Path, **values: Any) -> None:

@@ -150,12 +150,6 @@ def overview_row(
     }
 
 
-def same_columns(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return rows with the columns of all, NaN where a row lacks one, as of parts not read."""
-    names = dict.fromkeys(name for row in rows for name in row)
-    return [{name: row.get(name, np.nan) for name in names} for row in rows]
-
-
 def overview_table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return the worst suspensions of a fleet as a table, after a sentence on all of them."""
     shown = (*PLACE_FROM_TRAIN, "severity", "parameter", "reason", "sensors")
