@@ -3,7 +3,7 @@
 import io
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import timedelta
 from fractions import Fraction
@@ -128,8 +128,8 @@ def write_fleet(
         # a trip that lost a file is written again, as is one that was interrupted
         missing = [i for i, path in enumerate(paths) if not is_whole(path)]
         with unfinished(folder, made_from, fleet.n_trips, len(missing)):
-            jobs = ((folder, i, float(mileage[i]), ratios[i]) for i in missing)
-            _write_all(write, jobs, len(missing), "trip", n_jobs, len(missing), progress)
+            jobs = [(folder, i, float(mileage[i]), ratios[i]) for i in missing]
+            _write_all(write, jobs, "trip", n_jobs, len(jobs), progress)
             write_json(folder / TRUTH, truth)
     return paths
 
@@ -163,24 +163,23 @@ def write_trains(
     with own_folder(folder):
         missing = [own for own in suspensions if not is_finished(folder / own.name)]
         with unfinished(folder, made_from, trains.n_all, len(missing), "suspensions"):
-            jobs = ((folder, suspension) for suspension in missing)
-            n_trips = len(missing) * simulation.fleet.n_trips
-            _write_all(write, jobs, len(missing), "suspension", n_jobs, n_trips, progress)
+            jobs = [(folder, suspension) for suspension in missing]
+            n_trips = len(jobs) * simulation.fleet.n_trips
+            _write_all(write, jobs, "suspension", n_jobs, n_trips, progress)
             write_json(folder / TRUTH, truth)
         return [folder / suspension.name for suspension in suspensions]
 
 
 def _write_all(
     write: Callable[[Any], object],
-    jobs: Iterable[Any],
-    n: int,
+    jobs: Sequence[Any],
     unit: str,
     n_jobs: int | None,
     n_trips: int,
     progress: bool,
 ) -> None:
     done = each(write, jobs, effective_n_jobs(workers_for(n_trips, n_jobs)))
-    for _, outcome in progress_bar(f"{unit}s", n, items=done, unit=unit, shown=progress):
+    for _, outcome in progress_bar(f"{unit}s", len(jobs), items=done, unit=unit, shown=progress):
         if isinstance(outcome, LostWorkerError):
             raise outcome
 
