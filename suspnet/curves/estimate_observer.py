@@ -138,11 +138,6 @@ class EstimateObserver:
         return torch.stack(parts, dim=1) * self._nominal._healthy.responses(method).to(curves)
 
     @cached_property
-    def correlated_bins(self) -> float:
-        """Number of neighbouring bins with the information of one, from Welch's window."""
-        return self.settings.welch.correlated_bins
-
-    @cached_property
     def directions(self) -> Directions:
         """Directions of the generator's uncertain numbers that affect its curves."""
         return directions(self) if self._is_nominal else self._nominal.directions

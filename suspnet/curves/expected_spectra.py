@@ -173,7 +173,7 @@ class EstimateMisfit:
     @property
     def expected(self) -> float:
         """Mean square of a residual if the model is true: 1 / r times the fraction of used bins."""
-        return self.weight * self._share / self.observer.correlated_bins
+        return self.weight * self._share / self.observer.settings.welch.correlated_bins
 
     def thinned(self) -> EstimateMisfit:
         """Return the misfit on every n-th bin, each with n times its weight."""
@@ -205,7 +205,7 @@ class EstimateMisfit:
         white_p = u[:, 0] / l_pp
         white_s = (u[:, 1] - l_sp * white_p) / l_ss
         parts = [white_p.real, white_p.imag, white_s.real, white_s.imag]
-        scale = math.sqrt(2 * self.weight / self.observer.correlated_bins)
+        scale = math.sqrt(2 * self.weight / self.observer.settings.welch.correlated_bins)
         return torch.stack(parts, dim=1).flatten(1) * scale
 
     @cached_property
