@@ -203,19 +203,16 @@ def check_bogie(
     fits = [learnt_end(healthy_misfit(end, trips)).bare_misfit for end in ends]
     other, end = min(zip(fits, ends, strict=True), key=itemgetter(0))
     if other < misfit / OTHER_BOGIE:
-        raise TripError(_other_end("healthy-trips-fit", where, generator, misfit, end, other))
+        words = _other_end("healthy-trips-fit", generator, misfit, end, other)
+        raise TripError(of(where, words) if where else words)
 
 
 def check_end(
-    generator: SpatialVehicle,
-    trip: BogieTrip,
-    where: str = "",
-    *,
-    fit: Callable[[], float] | None = None,
+    generator: SpatialVehicle, trip: BogieTrip, *, fit: Callable[[], float] | None = None
 ) -> None:
     """Raise TripError if a trip fits another bogie or axle of the vehicle, and not its own.
 
-    `generator`, `where` and `fit` are as for `check_order`; the direction of travel must be known.
+    `generator` and `fit` are as for `check_order`; the direction of travel must be known.
     """
     own, *others = _ends(generator)
     ends = [end for end in _likely_ends([own, *others], trip) if end is not own]
@@ -224,7 +221,7 @@ def check_end(
     fits = [misfit_near(end, trip) for end in ends]
     other, end = min(zip(fits, ends, strict=True), key=itemgetter(0))
     if other < misfit / OTHER_BOGIE:
-        raise TripError(_other_end("trip-fits", where, generator, misfit, end, other))
+        raise TripError(_other_end("trip-fits", generator, misfit, end, other))
 
 
 def _ends(generator: SpatialVehicle) -> list[SpatialVehicle]:
@@ -248,10 +245,10 @@ def _near(items: Sequence[Item], misfits: Sequence[float], nearly: float) -> lis
 
 
 def _other_end(
-    kind: str, where: str, own: SpatialVehicle, misfit: float, end: SpatialVehicle, least: float
-) -> str:
+    kind: str, own: SpatialVehicle, misfit: float, end: SpatialVehicle, least: float
+) -> Finding:
     keys = [f"`{key}`" for key in ("bogie", "axle") if getattr(own, key) != getattr(end, key)]
-    words = Finding(
+    return Finding(
         kind,
         axle=end.axle,
         bogie=end.bogie,
@@ -262,7 +259,6 @@ def _other_end(
         # with both, it moves like its own end in the other direction
         keys=Finding("bogie-or-direction") if len(keys) > 1 else keys[0],
     )
-    return of(where, words) if where else words
 
 
 def _misfit_at_start(generator: SpatialVehicle, trip: BogieTrip) -> float:
