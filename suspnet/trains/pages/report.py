@@ -68,7 +68,7 @@ def write_report(
     # remarks on the trips, each a sentence or empty
     doubts, unread = _doubts(trips), _unread(trips)
     wheels, dead = wheels_finding(trips), failing_words(trips)
-    worn = _on_last(trips, "worn", "worn-on")
+    worn = _worn_on_last(trips)
     table = trip_table(trips, report.outputs, report.level)
     order = dict.fromkeys([*(name for name in FIGURES if name in figures), *figures])
     alarms = sorted(state.watched.alarms, key=lambda a: (not a.is_open, -a.severity, a.begin_km))
@@ -131,10 +131,10 @@ def named_first(assessments: Sequence[Assessment], trips: Sequence[TripResult]) 
     return f"{text} ({where})"
 
 
-def _on_last(trips: Sequence[TripResult], name: str, kind: str) -> str:
-    """Return a sentence on those of the last trips of which a field has text; empty without any."""
+def _worn_on_last(trips: Sequence[TripResult]) -> str:
+    """Return a sentence on those of the last trips that show a worn part; empty without any."""
     last = [r for r in trips if r.status == OK][-N_LAST:]
-    affected = [r for r in last if getattr(r, name)]
+    affected = [r for r in last if r.worn]
     if not affected:
         return ""
     on = Finding("last-trip")
@@ -142,7 +142,7 @@ def _on_last(trips: Sequence[TripResult], name: str, kind: str) -> str:
         on = Finding("last-trips", n=len(affected), n_last=len(last))
     newest = affected[-1]
     on = Finding("on-newest", trips=on, trip=newest.trip)
-    return Finding(kind, trips=on, words=getattr(newest, name))
+    return Finding("worn-on", trips=on, words=newest.worn)
 
 
 def wheels_finding(trips: Sequence[TripResult]) -> str:
