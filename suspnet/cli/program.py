@@ -38,7 +38,13 @@ from suspnet.ground.extras import missing_words, named_extras
 from suspnet.ground.parameters import DEFAULT_LIMITS, read_limits
 from suspnet.ground.settings import check_number
 from suspnet.ground.storage import printable, why, write_atomically
-from suspnet.ground.workers import LostWorkerError, end_with_parent, fork_from_server, guard_joblib
+from suspnet.ground.workers import (
+    LostWorkerError,
+    end_with_parent,
+    environment,
+    fork_from_server,
+    guard_joblib,
+)
 
 WITH_OPTIONS = ("check", "demo", "history", "init")  # programs that read no configuration
 POOLS = {
@@ -152,7 +158,7 @@ def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
         with (
             progress.visible(),
             signals.terminable() if unwinds else nullcontext(),
-            _whole_errors(),
+            environment({DEBUG: "1"}),  # Hydra raises errors, here and in child processes
             _checked_loader(),
             named_extras(),
         ):
@@ -175,19 +181,6 @@ def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
         sys.exit(one_line(error))
     except (LostWorkerError, BrokenProcessPool) as error:
         sys.exit(f"{one_line(error)}; {folders.how_to_resume()}")
-
-
-@contextmanager
-def _whole_errors() -> Iterator[None]:
-    """Make Hydra raise errors instead of printing them, here and in child processes."""
-    before = os.environ.get(DEBUG)
-    os.environ[DEBUG] = "1"
-    try:
-        yield
-    finally:
-        del os.environ[DEBUG]
-        if before is not None:
-            os.environ[DEBUG] = before
 
 
 @contextmanager

@@ -13,10 +13,10 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from multiprocessing import forkserver
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
@@ -66,9 +66,7 @@ def fork_from_server(module: str, n_workers: int) -> None:
     multiprocessing.set_forkserver_preload([module])
     with ExitStack() as stack:
         # the server inherits both; Ctrl-C is for this process, which ends it
-        for name, value in _environment(n_workers).items():
-            stack.callback(_put_back, name, os.environ.get(name))
-            os.environ[name] = value
+        stack.enter_context(environment(_threads(n_workers)))
         if threading.current_thread() is threading.main_thread():
             before = signal.signal(signal.SIGINT, signal.SIG_IGN)
             stack.callback(signal.signal, signal.SIGINT, before)
@@ -76,14 +74,20 @@ def fork_from_server(module: str, n_workers: int) -> None:
     start_method = "forkserver"
 
 
-def _put_back(name: str, value: str | None) -> None:
-    if value is None:
-        del os.environ[name]
-    else:
-        os.environ[name] = value
+@contextmanager
+def environment(values: Mapping[str, str]) -> Iterator[None]:
+    """Set environment variables inside a ``with`` block."""
+    before = {name: os.environ[name] for name in values if name in os.environ}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name in values:
+            del os.environ[name]
+        os.environ.update(before)
 
 
-def _environment(n_workers: int) -> dict[str, str]:
+def _threads(n_workers: int) -> dict[str, str]:
     """Return the numbers of threads of processes that share the cores, unless they are set."""
     n_threads = str(max(cpu_count() // n_workers, 1))
     return {name: os.environ.get(name, n_threads) for name in THREADS}
@@ -93,7 +97,7 @@ def guarded(n_workers: int) -> ProcessPoolExecutor:
     """Return an executor with one process that ends with this one; `n_workers` share the cores."""
     is_forked = start_method == "forkserver"
     context = multiprocessing.get_context("forkserver") if is_forked else None
-    env = _environment(n_workers)
+    env = _threads(n_workers)
     return ProcessPoolExecutor(
         1, context=context, env=env, initializer=begin, initargs=(is_forked,)
     )
