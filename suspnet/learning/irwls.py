@@ -135,7 +135,7 @@ class IRWLS:
             residual -= design.matvec_rmatvec(start, lambda rows, moved: moved[:, :0])[0]
         objective, lower = functional.value(coef, residual), 0.0
         gradient = functional.gradient(coef, residual)
-        objectives, n_iter, has_stagnated = [objective], 0, False
+        objectives, n_iter, status = [objective], 0, Status.MAX_ITER
         # The loop ends: every pass increases n_iter, except that a step of 0 takes the next kind of
         # equations, and stops when each kind had one.
         while (gap := _gap(objective, lower)) > self.tol and n_iter < self.max_iter:
@@ -154,8 +154,7 @@ class IRWLS:
             )
             equations.follow(step, decrement)
             if equations.have_failed:
-                gap = _gap(objective, lower)
-                has_stagnated = True
+                gap, status = _gap(objective, lower), Status.STAGNATED
                 break
             if step == 0:
                 continue
@@ -169,7 +168,6 @@ class IRWLS:
             if on_iteration is not None:
                 norm, support = functional.norm(gradient), _support(gradient)
                 on_iteration(Iteration(n_iter, objective, norm, step, support))
-        status = Status.STAGNATED if has_stagnated else Status.MAX_ITER
         return Solution(
             design.coefficients(coef),
             intercept,
