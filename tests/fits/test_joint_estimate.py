@@ -30,7 +30,7 @@ def half_widths(of, logs):
     """Return the half widths of the intervals of trips with the noise of the healthy ones."""
     widths = []
     for log in logs:
-        beyond = beyond_noise(of, np.append(log, 0.0), LEVEL)[:-1, :-1]
+        beyond = beyond_noise(of, np.append(log, 0.0), LEVEL)[0][:-1, :-1]
         widths.append(np.sqrt(np.diag(np.array(of.scatter.noise) + beyond)))
     return Z * np.array(widths)
 
@@ -51,7 +51,7 @@ def test_estimate_is_that_of_the_formula():
     noise, scatter = np.array(of.scatter.noise), of.scatter.widened(LEVEL)
     total = noise + scatter
     np.testing.assert_allclose(np.log(found.values), logs.mean(axis=0), rtol=1e-9)
-    wear = beyond_noise(of, np.append(logs.mean(axis=0), 0.0), LEVEL)[:-1, :-1] - scatter
+    wear = beyond_noise(of, np.append(logs.mean(axis=0), 0.0), LEVEL)[0][:-1, :-1] - scatter
     expected = (6 / 7) * total / 3 + total / 7 + wear
     np.testing.assert_allclose(found.covariance, expected, rtol=1e-9, atol=1e-15)
 

@@ -134,7 +134,7 @@ def test_a_part_is_named_from_its_least_loss_on(misfit):
         for loss, is_named in ((losses[name] + 2e-3, True), (losses[name] - 3e-3, False)):
             logs = np.zeros(13)
             logs[i] = np.log(1 - loss)
-            covariance = beyond_noise(bogie, logs, 0.9)
+            covariance, _ = beyond_noise(bogie, logs, 0.9)
             worn = worn_parts(PartsEstimate(np.exp(logs), covariance, 1.0, True, 0.9))
             assert ([part.names for part in worn] == [(name,)]) == is_named
     assert losses["k_p_axle1_left"] < losses["c_p_axle1_left"] < 0.2

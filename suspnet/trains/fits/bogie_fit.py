@@ -162,8 +162,8 @@ def fit_parts(
     covariance = posterior_covariance(fit, x, max(1.0, misfit) ** 2)[own, own]
     by_own_wear: FloatArray | float = 0.0
     if bogie.scatter is not None:
-        covariance = covariance + beyond_noise(bogie, x[own], level, len(noise))
-        by_own_wear = wear_errors(bogie, x[own], len(noise))[1]
+        beyond, by_own_wear = beyond_noise(bogie, x[own], level, len(noise))
+        covariance = covariance + beyond
     names = PARAMETERS if equal else COMPONENTS
     faster = np.zeros(len(DAMPERS))
     if fit.has_speeds:
@@ -177,17 +177,19 @@ def fit_parts(
 
 def beyond_noise(
     bogie: CommissionedBogie, logs: FloatArray, level: float, n_sensors: int | None = None
-) -> FloatArray:
+) -> tuple[FloatArray, FloatArray]:
     """Return the covariance tau^2 V + (1 - 1 / mu_0^2) D of the logarithms of parts and mass.
 
-    `logs` (13,) are those found, or (5,) of each kind; `n_sensors` found them, None: all.
+    Then the variances in it that a part has only if it has worn itself. `logs` (13,) are those
+    found, or (5,) of each kind; `n_sensors` found them, None: all.
     """
     assert bogie.scatter is not None
     covariance: FloatArray = np.pad(bogie.scatter.widened(level), (0, 1))
     if len(logs) == len(PARAMETERS):
         tied = np.linalg.pinv(EQUAL)
         covariance = tied @ covariance @ tied.T
-    return covariance + np.diag(wear_errors(bogie, logs, n_sensors)[0])
+    variances, own = wear_errors(bogie, logs, n_sensors)
+    return covariance + np.diag(variances), own
 
 
 def wear_errors(

@@ -34,7 +34,6 @@ from suspnet.trains.fits.bogie_fit import (
     PartsEstimate,
     beyond_noise,
     healthy_misfit,
-    wear_errors,
 )
 from suspnet.trains.fits.bogie_misfit import WEAR
 from suspnet.trains.fits.healthy_scatter import expected_noise
@@ -146,8 +145,8 @@ def least_losses(bogie: CommissionedBogie, level: float = 0.9) -> dict[str, floa
     noise = np.pad(np.array(scatter.noise), (0, 1))
 
     def unworn(logs: FloatArray) -> FloatArray:
-        by_own_wear = np.diag(wear_errors(bogie, logs)[1])
-        return np.asarray(noise + beyond_noise(bogie, logs, level) - by_own_wear)
+        beyond, by_own_wear = beyond_noise(bogie, logs, level)
+        return noise + beyond - np.diag(by_own_wear)
 
     return _least_losses(unworn, level)
 
