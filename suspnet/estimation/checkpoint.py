@@ -370,14 +370,16 @@ def _untagged(content: Mapping[str, Any], kinds: Mapping[str, type]) -> Any:
 
 
 def _with_tuples(content: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: tuple(v) if isinstance(v, list) else v for key, v in content.items()}
+    return {key: _as_tuple(value) for key, value in content.items()}
+
+
+def _as_tuple(value: Any) -> Any:
+    return tuple(map(_as_tuple, value)) if isinstance(value, list) else value
 
 
 def _bogie(content: dict[str, Any], device: str) -> CommissionedBogie:
     law, errors = content["law"], content["errors"]
-    scatter = content["scatter"] and _with_tuples(content["scatter"])
-    if scatter is not None:
-        scatter["noise"] = tuple(map(tuple, scatter["noise"]))
+    scatter = content["scatter"]
     loads_m = content["loads_m"]
     generator = _with_tuples(content["generator"])
     generator |= {"vehicle": Vehicle(**generator["vehicle"]), "device": device}
@@ -387,9 +389,9 @@ def _bogie(content: dict[str, Any], device: str) -> CommissionedBogie:
         np.array(content["masses"], dtype=np.float64),
         content["misfit"],
         content["converged"],
-        None if law is None else SuspensionLaw(**law),
+        None if law is None else SuspensionLaw(**_with_tuples(law)),
         None if errors is None else torch.tensor(errors, dtype=torch.float64),
-        None if scatter is None else HealthyScatter(**scatter),
+        None if scatter is None else HealthyScatter(**_with_tuples(scatter)),
         None if loads_m is None else np.array(loads_m, dtype=np.float64),
     )
 

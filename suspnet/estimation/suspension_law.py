@@ -83,22 +83,17 @@ class SuspensionLaw:
     def __post_init__(self) -> None:
         if self.healthy_c is not None:
             check_number("law.healthy_c", self.healthy_c)
-        rows = tuple(tuple(row) for row in self.covariance)
         for name, values, n in (
-            ("healthy_m_per_s", tuple(self.healthy_m_per_s), 2),
-            ("slopes", tuple(self.slopes), len(SLOPES)),
-            ("own_speeds", tuple(self.own_speeds), len(DAMPERS)),
-            ("covariance", sum(rows, ()), len(SLOPES) ** 2),
+            ("healthy_m_per_s", self.healthy_m_per_s, 2),
+            ("slopes", self.slopes, len(SLOPES)),
+            ("own_speeds", self.own_speeds, len(DAMPERS)),
+            ("covariance", sum(self.covariance, ()), len(SLOPES) ** 2),
         ):
             if len(values) != n:
                 raise ValueError(f"`law.{name}` must be {n} numbers, got {values}")
             for value in values:
                 if value is not None or name != "healthy_m_per_s":
                     check_number(f"law.{name}", value)
-        object.__setattr__(self, "healthy_m_per_s", tuple(self.healthy_m_per_s))
-        object.__setattr__(self, "slopes", tuple(self.slopes))
-        object.__setattr__(self, "own_speeds", tuple(self.own_speeds))
-        object.__setattr__(self, "covariance", rows)
 
     @property
     def findings(self) -> list[str]:

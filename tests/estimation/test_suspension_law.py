@@ -115,7 +115,7 @@ def test_springs_and_dampers_of_both_bogies_follow_the_speeds_of_their_own_dampe
         ({"healthy_c": 10.0, "own_speeds": [0.1] * 6}, "own_speeds` must be 12 numbers"),
         ({"healthy_c": 10.0, "healthy_m_per_s": [0.1]}, "healthy_m_per_s` must be 2 numbers"),
         ({"healthy_c": 10.0, "healthy_m_per_s": [0.1, math.inf]}, "must be a finite"),
-        ({"healthy_c": 10.0, "covariance": [[math.inf] * 7] * 7}, "covariance` must be a finite"),
+        ({"healthy_c": 10.0, "covariance": ((math.inf,) * 7,) * 7}, "covariance` must be a finite"),
     ],
 )
 def test_a_law_that_cannot_be_is_refused(note, message):

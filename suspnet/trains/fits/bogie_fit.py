@@ -274,7 +274,7 @@ def commission_bogie(
     if end.bare_misfit <= EXPLAINED:  # errors of the physics widen it more
         covariance = bent(fit, x, covariance)
     posterior = fit.numbers.moved(x[:n], covariance[:n, :n])
-    own_speeds = fit.own_speeds(x).mean(axis=0) if fit.has_speeds else np.zeros(len(DAMPERS))
+    own_speeds = fit.own_speeds(x).mean(axis=0)
     carried = x[shared:].reshape(len(trips), -1)[:, fit.n_parts :]
     return CommissionedBogie(
         replace(fit.generator, distribution=posterior),

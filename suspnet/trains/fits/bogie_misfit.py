@@ -23,7 +23,7 @@ from suspnet.estimation.suspension_law import (
     by_dampers,
     follows,
 )
-from suspnet.ground.parameters import COMPONENTS, PARAMETERS, Direction
+from suspnet.ground.parameters import COMPONENTS, DAMPERS, PARAMETERS, Direction
 from suspnet.ground.types import FloatArray
 from suspnet.trains.fits.bogie_residuals import Residuals
 from suspnet.trains.spectra.bogie_trip import BogieTrip, smallest_noise
@@ -386,8 +386,11 @@ class BogieMisfit:
     def own_speeds(self, x: FloatArray) -> FloatArray:
         """Return the logarithm of the speed [m/s] of each of ``DAMPERS``, (n_trips, 12).
 
-        The inputs are those that the vehicle at x explains the trip best with.
+        The inputs are those that the vehicle at x explains the trip best with. 0 if the suspension
+        does not depend on them.
         """
+        if not self.has_speeds:
+            return np.zeros((len(self.trips), len(DAMPERS)))
         every, omega = [], 2 * torch.pi * self.frequencies_hz
         width_hz = float(self.frequencies_hz[:2].diff())
         for i, (trip, noise) in enumerate(zip(self.trips, self.noises, strict=True)):
@@ -401,8 +404,9 @@ class BogieMisfit:
 
     def with_own_speeds(self, x: FloatArray) -> BogieMisfit:
         """Return the fit of healthy trips with each damper at its own speed, as at x."""
-        if not self.has_speeds or self.conditions is None:
+        if not self.has_speeds:
             return self
+        assert self.conditions is not None
         own = self.own_speeds(x)
         return replace(self, faster=beyond_pairs(own - own.mean(axis=0), self.conditions))
 

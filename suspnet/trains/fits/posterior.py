@@ -89,18 +89,14 @@ def with_chance_at(fit: BogieMisfit, x: FloatArray, *, at_end: bool = False) -> 
     """
     if not fit.n_chance:
         return fit
-
-    def of_chance(every: FloatArray) -> FloatArray:
-        return every[fit.n_shared :].reshape(len(fit.trips), -1)[:, : fit.n_chance]
-
-    own = of_chance(x)
+    slopes = fit.exact.jacobian(x)
+    whole = np.linalg.inv(slopes.T @ slopes) if at_end else posterior_covariance(fit, x, 1.0)
+    every = np.stack([x, np.diag(whole)])[:, fit.n_shared :].reshape(2, len(fit.trips), -1)
+    own, variances = every[:, :, : fit.n_chance]
     if at_end:
-        slopes = fit.exact.jacobian(x)
-        variances = of_chance(np.diag(np.linalg.inv(slopes.T @ slopes)))
         known = np.maximum((1 - variances / np.square(fit.chance)).sum(axis=0), LEAST_CHANCE**2)
         squares = np.maximum(np.square(own).sum(axis=0) / known, LEAST_CHANCE**2)
     else:
-        variances = of_chance(np.diag(posterior_covariance(fit, x, 1.0)))
         squares = (np.square(own) + variances).mean(axis=0)
     c_p, c_s = np.sqrt(squares).tolist()
     return replace(fit, chance=(c_p, c_s))

@@ -54,11 +54,6 @@ class ShownParts:
     vehicle: SpatialVehicle
     trip: BogieTrip
 
-    @property
-    def are_explained(self) -> bool:
-        """Whether the vehicle explains the trip, with its sensors in their order."""
-        return misfit_near(self.vehicle, self.trip) < EXPLAINS
-
     def least_losses(self) -> Mapping[str, float]:
         """Return the `expected_losses` of each part after ``N_HEALTHY`` trips like it, [-]."""
         return expected_losses(self.vehicle, self.trip, N_HEALTHY)
@@ -119,7 +114,11 @@ def check_sensors(
         # curves of single sensors ignore the roll that the parts explain
         told = [part for doubt in doubts for part in parts_of(doubt)]
         others = [part for part in told if not any(kind_is(part, kind) for kind in BY_CURVES)]
-        doubts = others if len(others) < len(told) and shown_parts.are_explained else told
+        if (
+            len(others) < len(told)
+            and misfit_near(shown_parts.vehicle, shown_parts.trip) < EXPLAINS
+        ):
+            doubts = others
     return tuple(dict.fromkeys(filter(None, doubts))), shown_parts, frame_sensor
 
 
