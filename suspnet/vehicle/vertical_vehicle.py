@@ -20,13 +20,7 @@ from suspnet.ground.parameters import COMPONENTS, FORWARD, REVERSE, SIDES, Direc
 from suspnet.ground.settings import Setting, check_choice, check_number, check_settings, setting
 from suspnet.ground.tensors import as_tensor, check_device
 from suspnet.vehicle.motion import LinearSystem
-from suspnet.vehicle.quantities import (
-    PARTS,
-    QUANTITIES,
-    SPATIAL_QUANTITIES,
-    LogNormal,
-    Quantity,
-)
+from suspnet.vehicle.quantities import PARTS, QUANTITIES, SPATIAL_QUANTITIES, LogNormal, Quantity
 from suspnet.vehicle.quarter_car import QuarterCar
 from suspnet.vehicle.spatial_motion import spatial_motion
 from suspnet.vehicle.vehicle import (

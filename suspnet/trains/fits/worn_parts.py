@@ -30,11 +30,7 @@ from suspnet.ground.findings import WORN, WORN_ONE_OF, Finding, together
 from suspnet.ground.parameters import BOGIE_PARTS, kind_of, part_words
 from suspnet.ground.tensors import threads
 from suspnet.ground.types import FloatArray
-from suspnet.trains.fits.bogie_fit import (
-    PartsEstimate,
-    beyond_noise,
-    healthy_misfit,
-)
+from suspnet.trains.fits.bogie_fit import PartsEstimate, beyond_noise, healthy_misfit
 from suspnet.trains.fits.bogie_misfit import WEAR
 from suspnet.trains.fits.healthy_scatter import expected_noise
 from suspnet.trains.spectra.bogie_trip import BogieTrip

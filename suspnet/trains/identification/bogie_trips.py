@@ -31,13 +31,7 @@ from suspnet.trains.spectra.steady_parts import groups_to_read, minutes_words
 from suspnet.trains.spectra.subspace import SpectralMatrix
 from suspnet.trains.spectra.wheel_lines import line_bins, wheel_lines
 from suspnet.vehicle import SpatialVehicle, VerticalVehicle
-from suspnet.vehicle.quantities import (
-    ADDITIONS,
-    IN_BETWEEN,
-    LEAST_SENSORS,
-    PLACES,
-    show_parts,
-)
+from suspnet.vehicle.quantities import ADDITIONS, IN_BETWEEN, LEAST_SENSORS, PLACES, show_parts
 
 PARTS_OF_BOGIE = (
     *("bushings", "rubber", "guidance", "longitudinal", "bending", "payload", "sensors"),

@@ -20,11 +20,7 @@ from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.ground.wording import ShortRepr
 from suspnet.trains.fits.rig_fit import better_order, fit_rig
 from suspnet.trains.recordings.errors import TripError
-from suspnet.trains.recordings.manifest import (
-    RIG_CHANNELS,
-    RecordManifest,
-    TripManifest,
-)
+from suspnet.trains.recordings.manifest import RIG_CHANNELS, RecordManifest, TripManifest
 from suspnet.trains.recordings.manifest_files import read_manifest
 from suspnet.trains.recordings.recording import load_recording
 from suspnet.trains.recordings.sensor import PASS
