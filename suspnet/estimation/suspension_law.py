@@ -199,8 +199,7 @@ def by_dampers(names: Sequence[str]) -> FloatArray:
     shares = of_damper / np.maximum(1, of_damper.sum(axis=0))
     kinds = np.array([name.removeprefix("other_")[:3] for name in names])
     numbers = np.where(BY_SPEED, [slope.number for slope in SLOPES], "")
-    follow: FloatArray = shares * (kinds == numbers[:, None])[:, None]
-    return follow
+    return np.asarray(shares * (kinds == numbers[:, None])[:, None])
 
 
 def beyond_pairs(own_speeds: FloatArray, conditions: FloatArray) -> FloatArray:
@@ -210,5 +209,4 @@ def beyond_pairs(own_speeds: FloatArray, conditions: FloatArray) -> FloatArray:
     """
     of_speed = {slope.number: i for i, slope in enumerate(SLOPES) if BY_SPEED[i]}
     of_pairs = [of_speed[name.removeprefix("other_")[:3]] for name in DAMPERS]
-    beyond: FloatArray = own_speeds - conditions[..., of_pairs]
-    return beyond
+    return np.asarray(own_speeds - conditions[..., of_pairs])

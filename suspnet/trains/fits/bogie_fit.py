@@ -212,9 +212,7 @@ def wear_errors(
 
 
 def healthy_misfit(
-    generator: SpatialVehicle,
-    trips: Sequence[BogieTrip],
-    conditions: FloatArray | None = None,
+    generator: SpatialVehicle, trips: Sequence[BogieTrip], conditions: FloatArray | None = None
 ) -> BogieMisfit:
     """Return the sum of squares of healthy trips, the prior the vehicle's distribution.
 

@@ -404,9 +404,8 @@ class BogieMisfit:
 
     def with_own_speeds(self, x: FloatArray) -> BogieMisfit:
         """Return the fit of healthy trips with each damper at its own speed, as at x."""
-        if not self.has_speeds:
+        if self.conditions is None or not self.has_speeds:
             return self
-        assert self.conditions is not None
         own = self.own_speeds(x)
         return replace(self, faster=beyond_pairs(own - own.mean(axis=0), self.conditions))
 

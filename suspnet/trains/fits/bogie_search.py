@@ -119,12 +119,11 @@ def healthy_end(fit: BogieMisfit, further_parts: Sequence[str], explained: float
     search also knows the speed of each damper, and how little dampers differ by chance.
     """
     near = freed(enriched(learnt_end(fit), further_parts))
-    at_end = with_chance_at(near.fit.with_own_speeds(near.x), near.x, at_end=True)
-    near = replace(near, fit=at_end)
+    fit = with_chance_at(near.fit.with_own_speeds(near.x), near.x, at_end=True)
     # a third of all bins where covariances are matched: there is little to gain
-    tol = HEALTHY_TOLS[1] if near.fit.is_matched else THINNED_TOL
-    x, converged = search(near.fit, near.x, 0.0, _thinned(near.fit), tol)
-    end = SearchEnd(near.fit.with_errors_at(x), x, converged)
+    tol = HEALTHY_TOLS[1] if fit.is_matched else THINNED_TOL
+    x, converged = search(fit, near.x, 0.0, _thinned(fit), tol)
+    end = SearchEnd(fit.with_errors_at(x), x, converged)
     return replace(end, fit=replace(end.fit, errors=None)) if end.bare_misfit <= explained else end
 
 
