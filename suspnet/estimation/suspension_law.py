@@ -11,9 +11,8 @@ b [1/K] and a [-] are normal, of each number one of ``SLOPES``; healthy trips of
 temperatures and speeds narrow them (`suspnet.trains.fits.bogie_misfit`). Later trips are read as at
 T_0 and v_0, and the uncertainty of b and a widens their intervals with the distance from there.
 Only a vehicle with the part nonlinear_dampers has a. v is that between sensors at both ends of a
-suspension. Each damper has its own speed beside it, which the vehicle knows
-(`BogieMisfit.own_speeds`): the axle that trails moves more than the one with the sensors, and what
-has worn moves otherwise.
+suspension. Each damper also has a speed of its own, which the vehicle knows
+(`BogieMisfit.own_speeds`): the trailing axle moves more than the leading one, and wear changes it.
 """
 
 from collections.abc import Sequence
@@ -58,6 +57,7 @@ DEVIATIONS = np.array([slope.deviation for slope in SLOPES])
 N_OF_TEMPERATURE = sum(slope.condition == CONDITIONS[0] for slope in SLOPES)
 """Number of slopes of the temperature, which are the first."""
 BY_SPEED = np.arange(len(SLOPES)) >= N_OF_TEMPERATURE
+"""Whether each slope is one over the speed, (7,)."""
 
 
 def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:

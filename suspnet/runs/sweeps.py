@@ -191,7 +191,11 @@ def _write_table5(runs: Sequence[Run], folder: Path, note: str) -> None:
     log.info(
         "best hyperparameters (least cross-validated RMSE):\n\n%s\n\n%s-> %s\n"
         "use them with: %s\nsee every trial of a method with: tensorboard --logdir %s/METHOD",
-        *(table, content, path, use, quote(str(folder / TRIALS))),
+        table,
+        content,
+        path,
+        use,
+        quote(str(folder / TRIALS)),
     )
 
 

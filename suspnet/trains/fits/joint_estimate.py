@@ -42,7 +42,8 @@ def joint_estimate(
     deviations = half_widths / norm.ppf((1 + level) / 2)
     totals = []
     for of_trip, deviation in zip(logs, deviations, strict=True):
-        variance = deviation**2 - np.diag(scatter) - _wear_errors(bogie, of_trip)[0]
+        by_wear, _ = wear_errors(bogie, np.append(of_trip, 0.0))
+        variance = deviation**2 - np.diag(scatter) - by_wear[:-1]
         own = np.sqrt(np.maximum(variance, (LEAST_NOISE * deviation) ** 2))
         totals.append(own[:, None] * correlation * own + scatter)
     weights = np.linalg.inv(totals)
@@ -50,12 +51,6 @@ def joint_estimate(
     joint = whole @ np.einsum("tij,tj->i", weights, logs)
     shared = 1 / (found.n_trips + 1)
     covariance = (1 - shared) * whole + shared * np.mean(totals, axis=0)
-    errors, own = _wear_errors(bogie, joint)
-    covariance = covariance + np.diag(errors)
-    return PartsEstimate(np.exp(joint), covariance, 1.0, True, level, BOGIE_PARTS, own)
-
-
-def _wear_errors(bogie: CommissionedBogie, logs: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return D of the parts alone, (12,), and what of it is due to their own wear."""
-    of_parts, own = wear_errors(bogie, np.append(logs, 0.0))
-    return of_parts[:-1], own[:-1]
+    by_wear, own = wear_errors(bogie, np.append(joint, 0.0))
+    covariance = covariance + np.diag(by_wear[:-1])
+    return PartsEstimate(np.exp(joint), covariance, 1.0, True, level, BOGIE_PARTS, own[:-1])

@@ -89,9 +89,12 @@ def with_chance_at(fit: BogieMisfit, x: FloatArray, *, at_end: bool = False) -> 
     """
     if not fit.n_chance:
         return fit
-    slopes = fit.exact.jacobian(x)
-    whole = np.linalg.inv(slopes.T @ slopes) if at_end else posterior_covariance(fit, x, 1.0)
-    every = np.stack([x, np.diag(whole)])[:, fit.n_shared :].reshape(2, len(fit.trips), -1)
+    if at_end:
+        slopes = fit.exact.jacobian(x)
+        covariance = np.linalg.inv(slopes.T @ slopes)
+    else:
+        covariance = posterior_covariance(fit, x, 1.0)
+    every = np.stack([x, np.diag(covariance)])[:, fit.n_shared :].reshape(2, len(fit.trips), -1)
     own, variances = every[:, :, : fit.n_chance]
     if at_end:
         known = np.maximum((1 - variances / np.square(fit.chance)).sum(axis=0), LEAST_CHANCE**2)

@@ -1,7 +1,7 @@
 """Checks whether the sensors of a trip are where its manifest says, against a known vehicle."""
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any
@@ -49,10 +49,11 @@ BY_CURVES = ("speed-unit-wrong", "order-unclear", "if-sure")
 
 @dataclass(frozen=True)
 class ShownParts:
-    """A stretch that shows each part of a bogie, and the vehicle with its prior."""
+    """A stretch that shows each part of a bogie, the vehicle with its prior, and their misfit."""
 
     vehicle: SpatialVehicle
     trip: BogieTrip
+    misfit: Callable[[], float]
 
     def least_losses(self) -> Mapping[str, float]:
         """Return the `expected_losses` of each part after ``N_HEALTHY`` trips like it, [-]."""
@@ -112,12 +113,9 @@ def check_sensors(
     frame_sensor = place.get("frame_sensor", "axle")
     if not all(recording.paired) and isinstance(shown_parts, ShownParts):
         # curves of single sensors ignore the roll that the parts explain
-        told = [part for doubt in doubts for part in parts_of(doubt)]
-        others = [part for part in told if not any(kind_is(part, kind) for kind in BY_CURVES)]
-        if (
-            len(others) < len(told)
-            and misfit_near(shown_parts.vehicle, shown_parts.trip) < EXPLAINS
-        ):
+        findings = [part for doubt in doubts for part in parts_of(doubt)]
+        others = [part for part in findings if not any(kind_is(part, kind) for kind in BY_CURVES)]
+        if len(others) < len(findings) and shown_parts.misfit() < EXPLAINS:
             doubts = others
     return tuple(dict.fromkeys(filter(None, doubts))), shown_parts, frame_sensor
 
@@ -178,7 +176,7 @@ def check_bogie(
     if manifest.direction:  # else that which the phases show assumes the bogie
         check_end(unknown, trip, fit=fit)
     check_order(unknown, trip, nearly=NEARLY, fit=fit)
-    return ShownParts(unknown, trip)
+    return ShownParts(unknown, trip, fit)
 
 
 def _measured_at(manifest: TripManifest) -> dict[str, Any]:
