@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from vehicles import AM96
 
-from suspnet.estimation.commissioned_bogie import CommissionedBogie
+from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScatter
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.trains.fits.commissioning import as_bogie
 from suspnet.trains.identification.healthy_trips import HealthyTrips
@@ -36,6 +36,8 @@ BINS = torch.arange(1.0, 18.0, 0.5, dtype=torch.float64)
 N_AVERAGES = 200
 NOISE = 1e-6
 """Noise of each sensor, of inputs of about 1."""
+NO_SCATTER = HealthyScatter((0.0,) * 4, (0.0,) * 4, 3, ((0.0,) * 12,) * 12)
+"""That of trips which show all parts alike, without noise."""
 
 
 def trip(name, mileage_km, **changes):
@@ -90,6 +92,6 @@ def commissioned_example():
         left_out=("trip_9: no stretch at one speed",),
     )
     noise = torch.full((len(vehicle.sensors),), NOISE, dtype=torch.float64)
-    bogie = CommissionedBogie(vehicle, noise, np.array(MASSES), 1.02, True)
+    bogie = CommissionedBogie(vehicle, noise, np.array(MASSES), 1.02, True, NO_SCATTER)
     generator = VerticalVehicle(AM96, parts=("bushings",), distribution=UNCERTAIN)
     return found, as_bogie(generator, bogie)

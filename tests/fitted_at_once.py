@@ -15,5 +15,5 @@ def fitted_at_once(vehicle, trips, converged=True):
     of_sensors = torch.full((n_sensors,), 1e-6, dtype=torch.float64)
     loads_m = np.full((len(trips), 2), 0.1)
     return CommissionedBogie(
-        vehicle, of_sensors, masses, 1.02, converged, None, errors, scatter, loads_m
+        vehicle, of_sensors, masses, 1.02, converged, scatter, None, errors, loads_m
     )

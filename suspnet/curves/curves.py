@@ -43,8 +43,6 @@ neglected one would widen a parameter's deviation by about 0.5 % at most."""
 N_VEHICLES = 24  # number of vehicles over which the effect is averaged
 FURTHEST = 2.0  # largest factor, up or down, between the parameters of these vehicles and healthy
 STEP = 1e-4  # step of the central differences, in standard deviations of the numbers
-
-
 N_TRAIN, N_UNCERTAIN_TRAIN = 20_000, 4_000
 """Default numbers of training curves; the second for a vehicle with uncertain numbers, where the
 regression is only the start of the fit that reads a trip: with 20,000 its results are the same."""

@@ -378,9 +378,7 @@ def _as_tuple(value: Any) -> Any:
 
 
 def _bogie(content: dict[str, Any], device: str) -> CommissionedBogie:
-    law, errors = content["law"], content["errors"]
-    scatter = content["scatter"]
-    loads_m = content["loads_m"]
+    law, errors, loads_m = content["law"], content["errors"], content["loads_m"]
     generator = _with_tuples(content["generator"])
     generator |= {"vehicle": Vehicle(**generator["vehicle"]), "device": device}
     return CommissionedBogie(
@@ -389,9 +387,9 @@ def _bogie(content: dict[str, Any], device: str) -> CommissionedBogie:
         np.array(content["masses"], dtype=np.float64),
         content["misfit"],
         content["converged"],
+        HealthyScatter(**_with_tuples(content["scatter"])),
         None if law is None else SuspensionLaw(**_with_tuples(law)),
         None if errors is None else torch.tensor(errors, dtype=torch.float64),
-        None if scatter is None else HealthyScatter(**_with_tuples(scatter)),
         None if loads_m is None else np.array(loads_m, dtype=np.float64),
     )
 

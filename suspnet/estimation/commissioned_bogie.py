@@ -53,11 +53,11 @@ class CommissionedBogie(ShortRepr):
 
     `generator` has the posterior of its numbers as its distribution, `noise` (n_sensors,)
     [(m/s^2)^2/Hz] is that of its sensors, `misfit` the rms of the residuals over that of the noise,
-    `masses` [-] the car-body mass of each trip over nominal. `law` is how its damping depends on
-    temperature and speed, None if the trips tell neither. `errors` (n_freq, n_sensors) [-] are
-    the fractions of its signals that it may err by in each bin of a trip, `scatter` that of its
-    parts from trip to trip, `loads_m` (n_trips, 2) [m] where each trip's load has the body's centre
-    of mass, from the middle towards the bogie and to the left; None: not known.
+    `masses` [-] the car-body mass of each trip over nominal, `scatter` that of its parts from trip
+    to trip. `law` is how its damping depends on temperature and speed, None if the trips tell
+    neither. `errors` (n_freq, n_sensors) [-] are the fractions of its signals that it may err by in
+    each bin of a trip, `loads_m` (n_trips, 2) [m] where each trip's load has the body's centre of
+    mass, from the middle towards the bogie and to the left; None: not known.
     """
 
     generator: SpatialVehicle
@@ -65,9 +65,9 @@ class CommissionedBogie(ShortRepr):
     masses: FloatArray
     misfit: float
     converged: bool
+    scatter: HealthyScatter
     law: SuspensionLaw | None = None
     errors: Tensor | None = None
-    scatter: HealthyScatter | None = None
     loads_m: FloatArray | None = None
 
     @cached_property

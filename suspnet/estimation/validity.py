@@ -182,8 +182,7 @@ def _check_bogie(model: BogieModel) -> None:
         or not bool((bogie.errors >= 0).all())
     ):
         raise ValueError("`bogie.errors` must be numbers >= 0, a row of all sensors for each bin")
-    if bogie.scatter is not None:
-        _check_scatter(bogie.scatter, len(bogie.outputs) - 1)
+    _check_scatter(bogie.scatter, len(bogie.outputs) - 1)
 
 
 def _check_scatter(scatter: HealthyScatter, n: int) -> None:

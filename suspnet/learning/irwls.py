@@ -34,8 +34,6 @@ SMALLEST_STEP = 1e-10  # smallest fraction of the direction that backtracking tr
 MAX_SLOW_STEPS = 20
 """Number of slow steps in a row after which the solver leaves Newton's equations, which can cycle
 where many samples lie on the border of the tube."""
-
-
 KINDS: dict[str, tuple[Kind, ...]] = {"newton": ("fixed", "newton"), "irwls": ("reweighted",)}
 """Kinds of equations of each solver, in turn."""
 

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from commissioned_example import NO_SCATTER
 from scipy.stats import norm
 from scipy.stats import t as student_t
 from vehicles import AM96
@@ -20,6 +21,7 @@ from suspnet.trains.fits import bogie_fit, bogie_search, posterior
 from suspnet.trains.fits import healthy_scatter as bogie_scatter
 from suspnet.trains.fits.bogie_fit import (
     EXPLAINED,
+    MISFIT_OF_FEW,
     SENSITIVITY,
     SENSITIVITY_OF_FEW,
     commission_bogie,
@@ -222,7 +224,8 @@ def test_derivatives_are_those_of_differences(are_healthy, parts, lost):
 def test_scatter_that_few_trips_show_widens_intervals(commissioned):
     """The covariance is C + tau^2 V + D, as the docstring says, and that of the bogie's mass."""
     one, parts = trip(drawn(VEHICLE, row({}), 5), 70.0), len(COMPONENTS) - 1
-    of_noise = relative(fit_parts(replace(commissioned, scatter=None), one, start=ratios({})))
+    exact = replace(commissioned, scatter=NO_SCATTER, misfit=1.0)
+    of_noise = relative(fit_parts(exact, one, start=ratios({})))
     own, alike = (0.01, 0.02, 0.0, 0.03), (0.0, 0.01, 0.02, 0.0)
     scatter = HealthyScatter(own, alike, 5, ())
     bogie = replace(commissioned, scatter=scatter, misfit=2.0)
@@ -243,14 +246,18 @@ def test_scatter_that_few_trips_show_widens_intervals(commissioned):
 def test_kinds_that_are_read_as_one_have_errors_of_their_own(commissioned):
     one, alike = trip(drawn(VEHICLE, row({}), 5), 70.0), (0.01, 0.02, 0.03, 0.04)
     scatter = HealthyScatter((0.0,) * 4, alike, 5, ())
-    bogies = replace(commissioned, scatter=None), replace(commissioned, scatter=scatter, misfit=2.0)
+    bogies = [
+        replace(commissioned, scatter=found, misfit=misfit)
+        for found, misfit in ((NO_SCATTER, 1.0), (scatter, 2.0))
+    ]
     plain, wide = (fit_parts(bogie, one, start=ratios({}), equal=True) for bogie in bogies)
     logs = np.log(wide.values[:-1])
     wear = np.maximum(np.abs(logs), np.abs(logs).max() / 2)
     sizes = np.append([SENSITIVITY_OF_FEW[name] for name in wide.names[:-1]] * wear, 0.15)
     tau = student_t(4).ppf(0.95) / norm.ppf(0.95)
     of_trips = np.append(tau**2 * np.square(alike), 0.0)
-    found = relative(plain) + np.diag(of_trips + (1 - 1 / 2.0**2) * sizes**2)
+    shares = np.array([1 / MISFIT_OF_FEW**2] * 4 + [1.0]) - 1 / 2.0**2
+    found = relative(plain) + np.diag(of_trips + shares * sizes**2)
     np.testing.assert_allclose(relative(wide), found, rtol=1e-9, atol=1e-15)
 
 
@@ -264,7 +271,7 @@ def test_exact_spectra_give_the_exact_parts(load_m):
     if load_m is not None:
         plain = plain.with_parts(("load",))
     spectra = drawn(plain, loaded(plain, given, load_m or (0.0, 0.0)), 0, 10**6, exact=True)
-    known = CommissionedBogie(plain, NOISE, np.ones(3), 1.0, True)
+    known = CommissionedBogie(plain, NOISE, np.ones(3), 1.0, True, NO_SCATTER)
     found = fit_parts(known, trip(spectra, 70.0))
     assert found.converged
     np.testing.assert_allclose(found.values, given[0].numpy(), rtol=2e-3)
@@ -304,7 +311,7 @@ def test_parts_are_found_without_the_sensor_that_sensitivities_are_relative_to()
     given[0, COMPONENTS.index("c_p_axle2_left")] = 0.6
     rows = vehicle.with_uncertain(given, torch.tensor([[1.1, 0.95]], dtype=torch.float64))
     spectra = drawn(vehicle, rows, 0, 10**6, exact=True)
-    known = CommissionedBogie(vehicle, NOISE, np.ones(3), 1.0, True)
+    known = CommissionedBogie(vehicle, NOISE, np.ones(3), 1.0, True, NO_SCATTER)
     one, start = trip(spectra, 70.0), ratios({"c_p_axle2_left": 0.7})
     found = fit_parts(known, without(one, VEHICLE.sensors[:1]), start=start)
     assert found.converged
@@ -555,7 +562,9 @@ def test_dampers_are_read_as_at_their_own_speeds_while_healthy():
     usual = tuple(np.log(scale * healthy))
     law = SuspensionLaw(None, tuple(m_per_s), slopes, ((0.0,) * 7,) * 7, usual)
     vehicle = plain.with_parts(("nonlinear_dampers",))
-    found = fit_parts(CommissionedBogie(vehicle, NOISE, np.ones(3), 1.0, True, law), one)
+    found = fit_parts(
+        CommissionedBogie(vehicle, NOISE, np.ones(3), 1.0, True, NO_SCATTER, law), one
+    )
     np.testing.assert_allclose(found.values, ratios(worn, 1.0), rtol=5e-3)
     of_sensors = np.array([by_pairs[name[:3]] for name in dampers])
     assert np.abs(np.log((own / healthy)[:6] / of_sensors)).max() > 0.2
@@ -737,7 +746,7 @@ def test_healthy_trips_are_left_out_as_by_a_fit_to_the_others(parts, i, monkeypa
     logs, covariances = read_as_later(end.fit, end.x)
     one = trips[i]
     others = commission_bogie(vehicle, [other for other in trips if other is not one])
-    later = fit_parts(replace(others, scatter=None), one, start=ratios({}))
+    later = fit_parts(replace(others, scatter=NO_SCATTER, misfit=1.0), one, start=ratios({}))
     deviations = np.sqrt(np.diag(covariances[i]))
     found = np.sqrt(np.diag(relative(later)))
     np.testing.assert_allclose(found, deviations, rtol=0.15 if is_linear else 0.2)

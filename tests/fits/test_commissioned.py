@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from commissioned_example import NO_SCATTER
 from vehicles import AM96
 
 from suspnet.curves.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
@@ -55,7 +56,7 @@ def known_bogie(names, logs, deviation=0.1):
     names, means = (*names, "conicity"), (*logs, 0.5)
     covariance = deviation**2 * np.eye(len(names))
     spatial = SimpleNamespace(distribution=LogNormal(names, means, covariance))
-    return CommissionedBogie(spatial, None, np.array(MASSES), 1.2, True)
+    return CommissionedBogie(spatial, None, np.array(MASSES), 1.2, True, NO_SCATTER)
 
 
 # reference

@@ -23,7 +23,7 @@ def bogie(misfit=1.0, seed=0):
     root = rng.standard_normal((12, 12)) + 2 * np.eye(12)
     noise = tuple(map(tuple, 1e-5 * root @ root.T))
     scatter = HealthyScatter((2e-3, 1e-2, 1e-3, 3e-3), (1e-3, 5e-3, 0.0, 1e-3), 6, noise)
-    return CommissionedBogie(VEHICLE, None, np.ones(6), misfit, True, scatter=scatter)
+    return CommissionedBogie(VEHICLE, None, np.ones(6), misfit, True, scatter)
 
 
 def half_widths(of, logs):
@@ -72,11 +72,6 @@ def test_the_error_of_draws_is_that_of_the_covariance():
 
 
 WIDTHS = half_widths(bogie(), np.zeros((4, 12)))
-
-
-def test_an_unknown_scatter_is_refused():
-    with pytest.raises(ValueError, match="scatter is not known"):
-        joint_estimate(replace(bogie(), scatter=None), np.zeros((1, 12)), WIDTHS[:1], LEVEL)
 
 
 def test_a_bogie_without_parts_is_refused():

@@ -128,27 +128,28 @@ def test_parts_that_trade_for_each_other_are_named_together():
 def test_a_part_is_named_from_its_least_loss_on(misfit):
     noise = tuple(map(tuple, np.zeros((12, 12))))
     scatter = HealthyScatter((1e-3, 5e-3, 1e-3, 2e-3), (0.0,) * 4, 6, noise)
-    bogie = CommissionedBogie(VEHICLE, None, np.ones(6), misfit, True, scatter=scatter)
+    bogie = CommissionedBogie(VEHICLE, None, np.ones(6), misfit, True, scatter)
     losses = least_losses(bogie)
     for i, name in enumerate(COMPONENTS[:-1]):
         for loss, is_named in ((losses[name] + 2e-3, True), (losses[name] - 3e-3, False)):
             logs = np.zeros(13)
             logs[i] = np.log(1 - loss)
-            covariance, _ = beyond_noise(bogie, logs, 0.9)
-            worn = worn_parts(PartsEstimate(np.exp(logs), covariance, 1.0, True, 0.9))
+            # the trip shows it too small, by what the interval allows for its wear
+            logs[i] += 1.6449 * np.sqrt(beyond_noise(bogie, logs, 0.9)[1][i])
+            found = beyond_noise(bogie, logs, 0.9)
+            estimate = PartsEstimate(np.exp(logs), found[0], 1.0, True, 0.9, by_own_wear=found[1])
+            worn = worn_parts(estimate)
             assert ([part.names for part in worn] == [(name,)]) == is_named
     assert losses["k_p_axle1_left"] < losses["c_p_axle1_left"] < 0.2
     never = replace(scatter, own=(2.0,) * 4)
     assert set(least_losses(replace(bogie, scatter=never)).values()) == {1.0}
-    with pytest.raises(ValueError, match="scatter is not known"):
-        least_losses(replace(bogie, scatter=None))
 
 
 def scattering(own, n_trips):
     """Return a bogie of which each part scatters by `own` beyond noise of 0.5 %."""
     noise = tuple(map(tuple, (0.005**2 * np.eye(12)).tolist()))
     scatter = HealthyScatter((own,) * 4, (0.0,) * 4, n_trips, noise)
-    return CommissionedBogie(VEHICLE, None, np.ones(n_trips), 1.0, True, scatter=scatter)
+    return CommissionedBogie(VEHICLE, None, np.ones(n_trips), 1.0, True, scatter)
 
 
 STUDENT = student_t.ppf(0.95, 2) / norm.ppf(0.95)
@@ -175,5 +176,3 @@ def test_fewer_healthy_trips_accuse_more_often():
     rates = [false_verdicts(scattering(0.02, n)) for n in (3, 6, 20)]
     assert rates[0] > rates[1] > rates[2]
     assert false_verdicts(scattering(0.0, 6)) < 1e-4
-    with pytest.raises(ValueError, match="scatter is not known"):
-        false_verdicts(replace(scattering(0.0, 6), scatter=None))

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from commissioned_example import NO_SCATTER
 from rich_effects import FAMILY
 from rich_train import RichTrain
 from rich_train_trips import write_train_trips
@@ -125,7 +126,7 @@ def test_single_sensors_name_no_part(tmp_path):
 
 @pytest.mark.parametrize("converged", [True, False])
 def test_search_that_did_not_end_is_told(short, monkeypatch, caplog, converged):
-    bogie = CommissionedBogie(VEHICLE, torch.ones(6), np.ones(3), 1.0, converged)
+    bogie = CommissionedBogie(VEHICLE, torch.ones(6), np.ones(3), 1.0, converged, NO_SCATTER)
     monkeypatch.setattr(commissioning, "commission_bogie", lambda *_, **__: bogie)
     trips = (bogie_trip(short, VEHICLE),) * 3
     healthy = HealthyTrips((short.manifest,) * 3, VEHICLE, trips, (True,) * 3)
@@ -149,7 +150,7 @@ def test_parts_read_with_a_doubtful_bogie_are_flagged(
     monkeypatch.setattr(bogie_trips, "bogie_trip", lambda *_: trip)
     parts = PartsEstimate(np.ones(13), 1e-4 * np.eye(13), 1.0, True, 0.9)
     monkeypatch.setattr(bogie_trips, "fit_parts", lambda *_, **__: parts)
-    bogie = CommissionedBogie(VEHICLE, torch.ones(6), np.ones(3), misfit, converged)
+    bogie = CommissionedBogie(VEHICLE, torch.ones(6), np.ones(3), misfit, converged, NO_SCATTER)
     estimate = estimate_parts(bogie, short, TripSettings(check_channels=False))
     (found,) = estimate.flags.reasons
     assert found.startswith(reason)
@@ -168,7 +169,7 @@ def test_a_trip_unlike_the_healthy_ones_is_flagged_and_its_verdict_stands(
     values[COMPONENTS.index("c_s_left")] = 0.5
     parts = PartsEstimate(values, 1e-4 * np.eye(13), misfit, converged, 0.9)
     monkeypatch.setattr(bogie_trips, "fit_parts", lambda *_, **__: parts)
-    bogie = CommissionedBogie(VEHICLE, torch.ones(6), np.ones(3), 1.0, True)
+    bogie = CommissionedBogie(VEHICLE, torch.ones(6), np.ones(3), 1.0, True, NO_SCATTER)
     estimate = estimate_parts(bogie, short, TripSettings(check_channels=False))
     assert estimate.flags.has("misfit").all()
     assert ("unlike the healthy ones" in estimate.flags.reasons[0]) == converged

@@ -246,9 +246,9 @@ def bogie(misfit, converged=True):
         np.ones(3),
         misfit,
         converged,
+        HealthyScatter((1e-3,) * 4, (0.0,) * 4, 5, tuple(map(tuple, 1e-6 * np.eye(12)))),
         None,
         errors,
-        HealthyScatter((1e-3,) * 4, (0.0,) * 4, 5, tuple(map(tuple, 1e-6 * np.eye(12)))),
         np.array([[0.21, -0.04]] * 3),
     )
 

@@ -6,6 +6,7 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 import yaml
+from commissioned_example import NO_SCATTER
 from vehicles import AM96
 
 from suspnet.curves.estimates import EstimateSettings
@@ -64,7 +65,7 @@ def test_its_vehicle_of_equal_sides_is_that_of_its_parts(tmp_path):
     assert {trip.direction for trip in found.of_parts} == {"forward"}
     assert found.speeds_m_per_s == pytest.approx([70.0] * 3)
     masses = np.array([1.0, 1.1, 1.2])
-    bogie = CommissionedBogie(found.vehicle, torch.ones(4), masses, 1.05, True)
+    bogie = CommissionedBogie(found.vehicle, torch.ones(4), masses, 1.05, True, NO_SCATTER)
     outcome = as_bogie(prior_of(GENERATOR, found), bogie)
     assert outcome.bogie == bogie
     of_parts, equal = bogie.generator.distribution, outcome.posterior

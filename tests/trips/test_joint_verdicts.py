@@ -28,7 +28,7 @@ from suspnet.trains.trips.joint_verdicts import with_joint_verdicts
 LEVEL = 0.9
 NOISE = np.diag([0.004**2 if name[0] == "k" else 0.015**2 for name in BOGIE_PARTS])
 SCATTER = HealthyScatter((0.0,) * 4, (0.0,) * 4, 6, tuple(map(tuple, NOISE)))
-BOGIE = CommissionedBogie(SpatialVehicle(AM96), None, np.ones(6), 1.0, True, scatter=SCATTER)
+BOGIE = CommissionedBogie(SpatialVehicle(AM96), None, np.ones(6), 1.0, True, SCATTER)
 PART = "c_p_axle2_left"
 
 

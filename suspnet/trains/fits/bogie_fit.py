@@ -160,16 +160,13 @@ def fit_parts(
     first = fit.n_shared + fit.n_free
     own = slice(first, first + ties.shape[1])
     covariance = posterior_covariance(fit, x, max(1.0, misfit) ** 2)[own, own]
-    by_own_wear: FloatArray | float = 0.0
-    if bogie.scatter is not None:
-        beyond, by_own_wear = beyond_noise(bogie, x[own], level, len(noise))
-        covariance = covariance + beyond
+    beyond, by_own_wear = beyond_noise(bogie, x[own], level, len(noise))
     names = PARAMETERS if equal else COMPONENTS
     faster = np.zeros(len(DAMPERS))
     if fit.has_speeds:
         faster = beyond_pairs(fit.own_speeds(x)[0] - law.own_speeds, conditions)
     by_speed, of_law = law.beside(names, conditions, faster)
-    covariance = covariance + of_law
+    covariance = covariance + beyond + of_law
     covariance[-1, -1] += BOGIE_MASS_DEVIATION**2
     values = np.exp(x[own] - by_speed)
     return PartsEstimate(values, covariance, misfit, end.converged, level, names, by_own_wear)
@@ -183,30 +180,29 @@ def beyond_noise(
     Then the variances in it that a part has only if it has worn itself. `logs` (13,) are those
     found, or (5,) of each kind; `n_sensors` found them, None: all.
     """
-    assert bogie.scatter is not None
     covariance: FloatArray = np.pad(bogie.scatter.widened(level), (0, 1))
     if len(logs) == len(PARAMETERS):
         tied = np.linalg.pinv(EQUAL)
         covariance = tied @ covariance @ tied.T
-    variances, own = wear_errors(bogie, logs, n_sensors)
+    n_sensors = n_sensors or len(bogie.generator.places)
+    variances, own = wear_errors(bogie.misfit, logs, n_sensors)
     return covariance + np.diag(variances), own
 
 
-def wear_errors(
-    bogie: CommissionedBogie, logs: FloatArray, n_sensors: int | None = None
-) -> tuple[FloatArray, FloatArray]:
+def wear_errors(misfit: float, logs: FloatArray, n_sensors: int) -> tuple[FloatArray, FloatArray]:
     """Return the variances (1 - 1 / mu_0^2) D of the logarithms of all parts and the mass.
 
-    Then what of each is there only if the part itself has worn. All is as of `beyond_noise`.
+    Then what of each is there only if the part itself has worn. `misfit` is mu_0, all else is as of
+    `beyond_noise`.
     """
     are_kinds, wear = len(logs) == len(PARAMETERS), np.abs(logs[:-1])
-    is_few = are_kinds or (n_sensors or len(bogie.generator.places)) < LEAST_SENSORS
+    is_few = are_kinds or n_sensors < LEAST_SENSORS
     names = PARAMETERS[:-1] if are_kinds else BOGIE_PARTS
     sizes = np.array([(SENSITIVITY_OF_FEW if is_few else SENSITIVITY)[kind_of(n)] for n in names])
-    sizes *= np.sqrt(1 - 1 / max(bogie.misfit, MISFIT_OF_FEW if is_few else 1.0) ** 2)
+    sizes *= np.sqrt(1 - 1 / max(misfit, MISFIT_OF_FEW if is_few else 1.0) ** 2)
     of_others = np.array([np.delete(wear, i).max() / 2 for i in range(len(wear))])
     variances = np.square(sizes * np.maximum(wear, of_others))
-    of_mass = (1 - 1 / max(1.0, bogie.misfit) ** 2) * MASS_DEVIATION**2 if are_kinds else 0.0
+    of_mass = (1 - 1 / max(1.0, misfit) ** 2) * MASS_DEVIATION**2 if are_kinds else 0.0
     own = variances - np.square(sizes * of_others)
     return np.append(variances, of_mass), np.append(own, 0.0)
 
@@ -280,8 +276,8 @@ def commission_bogie(
         np.exp(carried[:, 0]),
         end.bare_misfit,
         end.converged,
+        healthy_scatter(fit, x),
         law.fitted(x[n:shared], covariance[n:shared, n:shared], own_speeds),
         fit.errors,
-        healthy_scatter(fit, x),
         np.expm1(carried[:, 1:]) if carried.shape[1] > 1 else None,
     )

@@ -182,14 +182,13 @@ class BogieMisfit:
         return n_sensors <= len(self._inputs)
 
     @property
-    def n_uneven(self) -> int:
-        """Number of coordinates of each trip that say how much rougher one rail is, 1 or 0."""
-        return int(self.is_matched)
-
-    @property
     def n_free(self) -> int:
-        """Number of coordinates of each trip before those of its parts."""
-        return self.n_chance + self.n_uneven
+        """Number of coordinates of each trip before those of its parts.
+
+        Where covariances are matched, one that says how much rougher one rail is follows those of
+        dampers by chance.
+        """
+        return self.n_chance + int(self.is_matched)
 
     @cached_property
     def _by_chance(self) -> FloatArray:
@@ -497,7 +496,7 @@ class BogieMisfit:
 
         The mean of both brings the cross level that is coherent with it.
         """
-        if not self.n_uneven:
+        if not self.is_matched:
             return by_input
         share = x[self.n_shared + self.n_own * i + self.n_chance]
         first = by_input[..., :1, :, :] + share * by_input[..., 1:2, :, :]
@@ -548,6 +547,6 @@ class BogieMisfit:
         inputs, sensors = self._inputs, self.sensors_of(trip)
         own, changes = responses[0, inputs][:, sensors], changes[0][:, inputs][:, :, sensors]
         changes = self._on_rails(x, i, changes)
-        if self.n_uneven:
+        if self.is_matched:
             changes[self.n_shared + self.n_chance, 0] = own[1]
         return self._on_rails(x, i, own), changes

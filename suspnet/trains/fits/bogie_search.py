@@ -137,9 +137,9 @@ def freed(end: SearchEnd) -> SearchEnd:
     return _learnt(bare, LEARNT_ROUNDS) if is_better else end
 
 
-def learnt_end(fit: BogieMisfit) -> SearchEnd:
+def learnt_end(fit: BogieMisfit, rounds: int = LEARNT_ROUNDS) -> SearchEnd:
     """Return the end of searches of healthy trips that learn the errors of the vehicle."""
-    return _learnt(SearchEnd(fit, _first_step(fit), False), LEARNT_ROUNDS)
+    return _learnt(SearchEnd(fit, _first_step(fit), False), rounds)
 
 
 def enriched(end: SearchEnd, parts: Sequence[str]) -> SearchEnd:
@@ -148,8 +148,9 @@ def enriched(end: SearchEnd, parts: Sequence[str]) -> SearchEnd:
         return end
     if end.bare_misfit > (MATCHED_FROM if end.fit.is_matched else ENRICHED_FROM):
         # from the start: what the poorer vehicle made of these trips is another valley
-        fit, _ = replace(end.fit, errors=None).with_parts(parts, end.x)
-        return _learnt(SearchEnd(fit, _first_step(fit), False), ENRICHED_ROUNDS)
+        return learnt_end(
+            replace(end.fit, errors=None).with_parts(parts, end.x)[0], ENRICHED_ROUNDS
+        )
     poorer = end
     for part in parts:
         fit, x = end.fit.with_parts([part], end.x)  # noise and errors as before

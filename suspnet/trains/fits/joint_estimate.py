@@ -40,9 +40,9 @@ def joint_estimate(
     sizes = np.sqrt(np.diag(noise))
     correlation = noise / sizes[:, None] / sizes
     deviations = half_widths / norm.ppf((1 + level) / 2)
-    totals = []
+    totals, n_sensors = [], len(bogie.generator.places)
     for of_trip, deviation in zip(logs, deviations, strict=True):
-        by_wear, _ = wear_errors(bogie, np.append(of_trip, 0.0))
+        by_wear, _ = wear_errors(bogie.misfit, np.append(of_trip, 0.0), n_sensors)
         variance = deviation**2 - np.diag(scatter) - by_wear[:-1]
         own = np.sqrt(np.maximum(variance, (LEAST_NOISE * deviation) ** 2))
         totals.append(own[:, None] * correlation * own + scatter)
@@ -51,6 +51,6 @@ def joint_estimate(
     joint = whole @ np.einsum("tij,tj->i", weights, logs)
     shared = 1 / (found.n_trips + 1)
     covariance = (1 - shared) * whole + shared * np.mean(totals, axis=0)
-    by_wear, own = wear_errors(bogie, np.append(joint, 0.0))
+    by_wear, own = wear_errors(bogie.misfit, np.append(joint, 0.0), n_sensors)
     covariance = covariance + np.diag(by_wear[:-1])
     return PartsEstimate(np.exp(joint), covariance, 1.0, True, level, BOGIE_PARTS, own[:-1])

@@ -13,8 +13,6 @@ from suspnet.trains.spectra.model_errors import SPACING_HZ
 DRAWS = 60
 """Draws by which a posterior's bend is measured. In README's demonstration the true vehicle is at
 chi^2 = 4470 of a posterior without it, and at 94 with it, of 91 numbers."""
-
-
 LEAST_CHANCE = 1e-4
 """Least standard deviation of the logarithms that dampers differ by from trip to trip."""
 

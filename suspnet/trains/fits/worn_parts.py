@@ -24,13 +24,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import norm
 
 from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScatter
 from suspnet.ground.findings import WORN, WORN_ONE_OF, Finding, together
 from suspnet.ground.parameters import BOGIE_PARTS, kind_of, part_words
 from suspnet.ground.tensors import threads
 from suspnet.ground.types import FloatArray
-from suspnet.trains.fits.bogie_fit import PartsEstimate, beyond_noise, healthy_misfit
+from suspnet.trains.fits.bogie_fit import (
+    PartsEstimate,
+    beyond_noise,
+    healthy_misfit,
+    wear_errors,
+)
 from suspnet.trains.fits.bogie_misfit import WEAR
 from suspnet.trains.fits.healthy_scatter import expected_noise
 from suspnet.trains.spectra.bogie_trip import BogieTrip
@@ -50,8 +56,6 @@ ODDS = 20.0
 """Odds from which a part is named."""
 MOST_ODDS = 1000.0
 """Odds above which no number is reported: they are those of a model."""
-
-
 N_HEALTHY = 20_000
 """Healthy trips that are drawn to find how many of them are given a verdict."""
 MOST_LOSS, LOSS_STEP = 0.8, 1e-3
@@ -134,17 +138,18 @@ def worn_parts(estimate: PartsEstimate) -> list[WornPart]:
 def least_losses(bogie: CommissionedBogie, level: float = 0.9) -> dict[str, float]:
     """Return the least loss of each part [-] from which it is named by one trip like the healthy.
 
-    1 if it is not named at ``MOST_LOSS`` either. ValueError if their scatter is not known, or the
+    That is also where the trip shows the loss too small, by as much as an interval of the level
+    allows for wear of this part. 1 if it is not named at ``MOST_LOSS`` either. ValueError if the
     sensors do not show each part.
     """
     scatter = scatter_of_parts(bogie)
     noise = np.pad(np.array(scatter.noise), (0, 1))
 
-    def unworn(logs: FloatArray) -> FloatArray:
+    def errors(logs: FloatArray) -> tuple[FloatArray, FloatArray]:
         beyond, by_own_wear = beyond_noise(bogie, logs, level)
-        return noise + beyond - np.diag(by_own_wear)
+        return noise + beyond, by_own_wear
 
-    return _least_losses(unworn, level)
+    return _least_losses(errors, level)
 
 
 @threads(1)  # systems of 30 equations are too small for two
@@ -154,12 +159,17 @@ def expected_losses(
     """Return the `least_losses` before commissioning, on `n_healthy` trips like this one.
 
     `vehicle` has the prior of its numbers. The vehicle is taken to be complete, its trips to differ
-    by noise alone: what commissioning finds beyond it adds to these losses. ValueError if the trip
-    has other sensors than the vehicle.
+    by noise alone: what commissioning finds beyond it adds to these losses, but for what few
+    sensors always allow for. ValueError if the trip has other sensors than the vehicle.
     """
     fit = healthy_misfit(vehicle, [trip])
     noise = expected_noise(fit, fit.start(), n_healthy)
-    return _least_losses(lambda _: noise, level)
+
+    def errors(logs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        variances, by_own_wear = wear_errors(1.0, logs, len(vehicle.places))
+        return noise + np.diag(variances), by_own_wear
+
+    return _least_losses(errors, level)
 
 
 @threads(1)
@@ -192,20 +202,25 @@ def false_verdicts(bogie: CommissionedBogie, level: float = 0.9, seed: int = 0) 
 
 def scatter_of_parts(bogie: CommissionedBogie) -> HealthyScatter:
     """Return the scatter of the healthy trips; ValueError if it is not that of each part."""
-    if bogie.scatter is None:
-        raise ValueError("how the healthy trips scatter is not known")
     if len(bogie.scatter.noise) != len(BOGIE_PARTS):
         raise ValueError("the sensors do not show each part: none has an estimate")
     return bogie.scatter
 
 
-def _least_losses(covariance: Callable[[FloatArray], FloatArray], level: float) -> dict[str, float]:
-    """Return the least losses, given the covariance of logarithms (13, 13) for logarithms (13,)."""
+def _least_losses(
+    errors: Callable[[FloatArray], tuple[FloatArray, FloatArray]], level: float
+) -> dict[str, float]:
+    """Return the least losses, given covariance and `by_own_wear` of logarithms found (13,)."""
+    reach = norm.ppf((1 + level) / 2)
 
     def is_named(part: int, loss: float) -> bool:
         logs = np.zeros(len(BOGIE_PARTS) + 1)
         logs[part] = math.log(1 - loss)
-        worn = worn_parts(PartsEstimate(np.exp(logs), covariance(logs), 1.0, True, level))
+        missed = reach * np.sqrt(errors(logs)[1][part])
+        logs[part] = min(0.0, logs[part] + missed)
+        covariance, own = errors(logs)
+        found = PartsEstimate(np.exp(logs), covariance, 1.0, True, level, by_own_wear=own)
+        worn = worn_parts(found)
         return [found.names for found in worn] == [(BOGIE_PARTS[part],)]
 
     losses = {}

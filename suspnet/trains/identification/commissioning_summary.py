@@ -207,7 +207,7 @@ def errors_of_parts(bogie: CommissionedBogie, healthy: HealthyTrips) -> str:
 
 def reach_of_parts(bogie: CommissionedBogie) -> str:
     """Return from which loss parts are named, the worst of each kind, and how often wrongly."""
-    if bogie.scatter is None or not bogie.generator.shows_parts:
+    if not bogie.generator.shows_parts:
         return ""
     wrongly = Finding(
         "healthy-accused", n=N_HEALTHY, n_accused=round(N_HEALTHY * false_verdicts(bogie))

@@ -31,7 +31,7 @@ def with_joint_verdicts(
     for result in results:
         bogie = bogies.get(result.healthy_since_km)
         is_read = result.status == OK and set(BOGIE_PARTS) <= set(result.estimates)
-        if bogie is None or bogie.scatter is None or not is_read:
+        if bogie is None or not is_read:
             joined.append(result)
             continue
         last = before.setdefault(result.healthy_since_km, [])
