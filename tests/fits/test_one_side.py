@@ -87,7 +87,11 @@ def test_wear_counts_more_than_with_many_sensors():
     variances, own = wear_errors(2.0, logs, 3)
     size = 0.75 * (SENSITIVITY_OF_FEW["k_p"] * np.log(2)) ** 2
     assert variances[0] == own[0] == pytest.approx(size)  # no other part has worn
-    assert variances[2] == pytest.approx(size / 4)
+    assert variances[2] == pytest.approx(size)
+    kinds = wear_errors(2.0, np.append(np.log([0.5, 1, 1, 1]), 0.0), 3)[0]
+    assert kinds[2] / kinds[0] == pytest.approx(
+        (SENSITIVITY_OF_FEW["k_s"] / SENSITIVITY_OF_FEW["k_p"] / 2) ** 2
+    )
     assert own[1:].max() == 0.0
     assert wear_errors(2.0, logs, 6)[0][0] < size / 100
     explained = wear_errors(1.0, logs, 3)[0]
