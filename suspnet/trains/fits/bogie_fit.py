@@ -25,9 +25,9 @@ scatter and tau Student's quantile over the normal one, as few healthy trips tel
 diagonal, the square of ``SENSITIVITY`` times the logarithm of the part, or times ``OF_OTHERS`` of
 the largest one: a vehicle that leaves mu_0 > 1 of its healthy trips moves differently with wear,
 too. With few sensors, or where all parts of a kind are read as one, ``SENSITIVITY_OF_FEW`` is in
-its place and mu_0 at least ``MISFIT_OF_FEW``; the former take the wear of any part for any other's,
-all of the largest counts for them; the mass of the latter is no better known than before the trip
-if mu_0 is large. What is due to the wear of a part itself makes no part worn: verdicts are without it.
+its place and mu_0 at least ``MISFIT_OF_FEW``. Few sensors take wear of one part for that of
+another, so that all of the largest one counts; where kinds are read, the mass is no better known
+than before the trip if mu_0 is large. Verdicts leave out what is due to the wear of a part itself.
 The variance of M_s has that of the bogie's mass, too, to which accelerations show it relative; it
 does not count where trips are compared. The speed of each damper corrects its part by the law of
 the suspension (`SuspensionLaw.beside`).
@@ -76,8 +76,8 @@ numbers, and where all parts of a kind are read as one. By three on the left of 
 is 2.5 to 3 times as much, by the factor of the misfit."""
 OF_OTHERS = 0.5
 """Fraction of the largest wear that counts for other parts. With 0.5 for few sensors, too, 3 of 180
-trips accused another part, most often the spring across; with 1, none, and 67 in place of 71 of 144
-worn parts were named (tests/rich_train.py, three on the left: all, seeds 0 1 2 7 8, of 20 and of 5
+trips accused another part, the spring across; with 1, one did, and 65 in place of 71 of 144 worn
+parts were named (tests/rich_train.py, three on the left: all, seeds 0 1 2 7 8, of 20 and of 5
 minutes; flexible modes, seed 0; cross-axis and noise, seed 7)."""
 MISFIT_OF_FEW = 1.05
 """Least misfit that they are taken to have: linear trains with flexible modes (seed 0) and with

@@ -73,8 +73,3 @@ class Residuals:
         responses = self.fit.responses(x, 0, self.bins)
         rows = torch.stack([responses[:, list(order)] for order in orders])
         return self.subspaces[0](rows).square().mean(dim=1).sqrt().numpy()
-
-    @property
-    def expected(self) -> float:
-        """Mean square of a residual where the model is right."""
-        return self.subspaces[0].expected

@@ -59,6 +59,6 @@ def explained_trips(
     measured = replace(expected, trips=trips).exact  # with the same noise
     squares = [float(np.square(residuals).mean()) for residuals in measured.of_trips(x)]
     return [
-        ExplainedTrip(trip.spectra, float(np.sqrt(square / measured.expected)))
+        ExplainedTrip(trip.spectra, float(np.sqrt(square / measured.subspaces[0].expected)))
         for trip, square in zip(expected.trips, squares, strict=True)
     ]

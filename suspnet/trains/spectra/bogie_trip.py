@@ -61,12 +61,12 @@ class BogieTrip(ShortRepr):
         for below, above in (("axle_box", "frame"), ("frame", "body")):
             squares = []
             for side in (*SIDES, "middle"):
-                at_side = {p: i for i, p in enumerate(own) if p.endswith(f"_{side}")}
-                ends = [
-                    next((i for p, i in at_side.items() if p.startswith(end)), None)
+                at_side = [
+                    [i for i, p in enumerate(own) if p.startswith(end) and p.endswith(side)]
                     for end in (below, above)
                 ]
-                if None not in ends:
+                if all(at_side):
+                    ends = [sensors_there[0] for sensors_there in at_side]
                     values = self.spectra.values[used][:, ends][:, :, ends]
                     both = values.diagonal(dim1=1, dim2=2).sum(dim=1) - 2 * values[:, 0, 1]
                     squares.append(float((both.real / omega**2).sum()) * width_hz)
