@@ -159,8 +159,8 @@ def expected_losses(
     """Return the `least_losses` before commissioning, on `n_healthy` trips like this one.
 
     `vehicle` has the prior of its numbers. The vehicle is taken to be complete, its trips to differ
-    by noise alone: what commissioning finds beyond it adds to these losses, but for what few
-    sensors always allow for. ValueError if the trip has other sensors than the vehicle.
+    by noise alone: what commissioning finds beyond it adds to these losses. They have what is
+    always allowed for few sensors. ValueError if the trip has other sensors than the vehicle.
     """
     fit = healthy_misfit(vehicle, [trip])
     noise = expected_noise(fit, fit.start(), n_healthy)
