@@ -13,6 +13,7 @@ import numpy as np
 from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.problem import Problem
 from suspnet.estimation.bogie_model import BogieModel
+from suspnet.estimation.commissioned_bogie import HealthyScatter
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground.parameters import PARAMETERS
@@ -181,7 +182,10 @@ def _check_bogie(model: BogieModel) -> None:
         or not bool((bogie.errors >= 0).all())
     ):
         raise ValueError("`bogie.errors` must be numbers >= 0, a row of all sensors for each bin")
-    scatter, n = bogie.scatter, len(bogie.outputs) - 1
+    _check_scatter(bogie.scatter, len(bogie.outputs) - 1)
+
+
+def _check_scatter(scatter: HealthyScatter, n: int) -> None:
     for name in ("own", "alike"):
         values = np.array(getattr(scatter, name), dtype=float)
         _check_vector(f"bogie.scatter.{name}", values, len(PARAMETERS) - 1)

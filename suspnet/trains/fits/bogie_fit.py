@@ -206,7 +206,7 @@ def wear_errors(misfit: float, logs: FloatArray, n_sensors: int) -> tuple[FloatA
     names = PARAMETERS[:-1] if are_kinds else BOGIE_PARTS
     sizes = np.array([(SENSITIVITY_OF_FEW if is_few else SENSITIVITY)[kind_of(n)] for n in names])
     sizes *= np.sqrt(1 - 1 / max(misfit, MISFIT_OF_FEW if is_few else 1.0) ** 2)
-    share = OF_OTHERS if are_kinds or not is_few else 1.0
+    share = 1.0 if is_few and not are_kinds else OF_OTHERS
     of_others = share * np.array([np.delete(wear, i).max() for i in range(len(wear))])
     variances = np.square(sizes * np.maximum(wear, of_others))
     of_mass = (1 - 1 / max(1.0, misfit) ** 2) * MASS_DEVIATION**2 if are_kinds else 0.0
@@ -270,6 +270,7 @@ def commission_bogie(
     end = healthy_end(fit, further_parts, EXPLAINED).finished(NEARLY_EXPLAINED * EXPLAINED)
     if end.fit.errors is None:
         end = replace(end, fit=end.fit.with_errors_at(end.x))
+    # x are the vehicle's numbers, the slopes of its law, then each trip's own numbers
     fit, x, misfit, n, shared = end.fit, end.x, end.misfit, end.fit.n_numbers, end.fit.n_shared
     covariance = posterior_covariance(fit, x, max(1.0, misfit) ** 2)
     if end.bare_misfit <= EXPLAINED:  # errors of the physics widen it more

@@ -183,11 +183,7 @@ class BogieMisfit:
 
     @property
     def n_free(self) -> int:
-        """Number of coordinates of each trip before those of its parts.
-
-        Where covariances are matched, one that says how much rougher one rail is follows those of
-        dampers by chance.
-        """
+        """Number of coordinates of each trip before those of its parts, uneven rails the last."""
         return self.n_chance + int(self.is_matched)
 
     @cached_property

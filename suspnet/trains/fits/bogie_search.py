@@ -148,9 +148,8 @@ def enriched(end: SearchEnd, parts: Sequence[str]) -> SearchEnd:
         return end
     if end.bare_misfit > (MATCHED_FROM if end.fit.is_matched else ENRICHED_FROM):
         # from the start: what the poorer vehicle made of these trips is another valley
-        return learnt_end(
-            replace(end.fit, errors=None).with_parts(parts, end.x)[0], ENRICHED_ROUNDS
-        )
+        richer_fit, _ = replace(end.fit, errors=None).with_parts(parts, end.x)
+        return learnt_end(richer_fit, ENRICHED_ROUNDS)
     poorer = end
     for part in parts:
         fit, x = end.fit.with_parts([part], end.x)  # noise and errors as before

@@ -216,12 +216,11 @@ def _least_losses(
     def is_named(part: int, loss: float) -> bool:
         logs = np.zeros(len(BOGIE_PARTS) + 1)
         logs[part] = math.log(1 - loss)
-        missed = reach * np.sqrt(errors(logs)[1][part])
-        logs[part] = min(0.0, logs[part] + missed)
+        # read too small by as much as intervals allow
+        logs[part] = min(0.0, logs[part] + reach * np.sqrt(errors(logs)[1][part]))
         covariance, own = errors(logs)
-        found = PartsEstimate(np.exp(logs), covariance, 1.0, True, level, by_own_wear=own)
-        worn = worn_parts(found)
-        return [found.names for found in worn] == [(BOGIE_PARTS[part],)]
+        estimate = PartsEstimate(np.exp(logs), covariance, 1.0, True, level, by_own_wear=own)
+        return [one.names for one in worn_parts(estimate)] == [(BOGIE_PARTS[part],)]
 
     losses = {}
     for part, name in enumerate(BOGIE_PARTS):
