@@ -20,7 +20,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-import torch
 from cells import write_rows
 from tabulate import tabulate
 
@@ -30,6 +29,7 @@ sys.path.insert(0, str(TESTS))
 from blind_train import COMPONENTS, PAIRS, SIDE_NAMES, Run, Track, Train, record, write_trip  # noqa: E402
 
 import suspnet  # noqa: E402
+from suspnet.ground.tensors import threads  # noqa: E402
 from suspnet.trains.identification.bogie_trips import PARTS_OF_BOGIE  # noqa: E402
 from suspnet.vehicle.quantities import BOGIE_MASS_DEVIATION  # noqa: E402
 
@@ -416,6 +416,7 @@ def page(rows, options):
     )
 
 
+@threads(1)
 def main():
     parser = ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--case", choices=list(CASES), default="plain", help="train and trips")
@@ -429,7 +430,6 @@ def main():
     parser.add_argument("--minutes", type=float, default=20.0, help="of a trip")
     parser.add_argument("--output", type=Path, default=RESULTS, help="folder of the tables")
     options = parser.parse_args()
-    torch.set_num_threads(1)
     options.output.mkdir(parents=True, exist_ok=True)
     for seed in options.seeds:
         with tempfile.TemporaryDirectory() as folder:

@@ -14,7 +14,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-import torch
 from cells import Parser, at_least
 from foreign_trains import TESTS
 from mismatch import short, write
@@ -26,6 +25,7 @@ from tabulate import tabulate
 from vehicles import AM96
 
 from suspnet.ground.parameters import COMPONENTS
+from suspnet.ground.tensors import threads
 from suspnet.trains.fits.bogie_fit import commission_bogie, fit_parts
 from suspnet.trains.identification.bogie_trips import PARTS_OF_BOGIE, bogie_trip
 from suspnet.trains.recordings.manifest_files import read_manifest
@@ -102,6 +102,7 @@ def table(rows):
     return tabulate(list(lines.values()), headers, tablefmt="pipe", disable_numparse=True)
 
 
+@threads(1)
 def main():
     parser = Parser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2], help="a train each")
@@ -110,7 +111,6 @@ def main():
     parser.add_argument("--minutes", type=at_least(18, float), default=20.0, help="of a trip")
     parser.add_argument("--output", type=Path, default=RESULTS, help="folder of the tables")
     options = parser.parse_args()
-    torch.set_num_threads(1)
     options.output.mkdir(parents=True, exist_ok=True)
     rows = []
     for seed in options.seeds:

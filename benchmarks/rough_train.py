@@ -18,7 +18,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-import torch
 from cells import Parser, at_least, write_rows
 from foreign_trains import TESTS
 from named_parts import Z90
@@ -32,6 +31,7 @@ from vehicles import AM96
 
 import suspnet
 from suspnet.ground.parameters import COMPONENTS
+from suspnet.ground.tensors import threads
 from suspnet.trains.fits.bogie_fit import FURTHER_PARTS, fit_parts
 from suspnet.trains.fits.joint_estimate import joint_estimate
 from suspnet.trains.identification.bogie_trips import PARTS_OF_BOGIE
@@ -251,6 +251,7 @@ def stored(path, rows):
     return [row for row in old if (row["set"], row["seed"]) not in runs] + rows
 
 
+@threads(1)
 def main():
     parser = Parser(description=__doc__.splitlines()[0])
     parser.add_argument("--sets", nargs="+", choices=list(SETS), default=list(SETS))
@@ -266,7 +267,6 @@ def main():
     parser.add_argument("--both-ways", action="store_true", help="every other trip in reverse")
     parser.add_argument("--output", type=Path, default=RESULTS, help="folder of the table")
     options = parser.parse_args()
-    torch.set_num_threads(1)
     options.output.mkdir(parents=True, exist_ok=True)
     path = options.output / "rough_train.csv"
     for name in options.sets:

@@ -16,7 +16,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import torch
 from named_parts import CASES, drawn_trips, family_of, runs_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
@@ -24,6 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from blind_train import Track, Train, record, write_trip
 
 import suspnet
+from suspnet.ground.tensors import threads
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.sensors.swapped_sensors import NEARLY, check_end, check_order, likely_orders
 
@@ -68,12 +68,12 @@ def is_called(check, vehicle, trip, names=()):
     return False
 
 
+@threads(1)
 def main():
     parser = ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cases", nargs="+", default=["plain", "all at once"], choices=CASES)
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
     options = parser.parse_args()
-    torch.set_num_threads(1)
     for name in options.cases:
         for seed in options.seeds:
             with tempfile.TemporaryDirectory() as folder:

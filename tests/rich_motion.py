@@ -8,7 +8,6 @@ from dataclasses import fields
 import numpy as np
 from rich_vehicle import RichSystem
 from scipy.linalg import expm
-from threadpoolctl import threadpool_limits
 
 BLOCK = 2048
 """Samples whose inputs and outputs are computed at once."""
@@ -34,14 +33,12 @@ def simulate(ratios, rich, tracks, rate_hz, n_samples, n_lead=0):
         Samples before time 0; the vehicle starts there, lifted to the track and moving with it.
     """
     signals = None
-    # products of small matrices: threads wait for each other longer than they compute
-    with threadpool_limits(1, user_api="blas"):
-        for first, _, accelerations in march(ratios, rich, tracks, rate_hz, n_samples, n_lead):
-            if signals is None:
-                signals = np.empty((*accelerations.shape[:2], n_samples))
-            kept = accelerations[..., max(0, -first) :]
-            begin = max(0, first)
-            signals[..., begin : begin + kept.shape[-1]] = kept
+    for first, _, accelerations in march(ratios, rich, tracks, rate_hz, n_samples, n_lead):
+        if signals is None:
+            signals = np.empty((*accelerations.shape[:2], n_samples))
+        kept = accelerations[..., max(0, -first) :]
+        begin = max(0, first)
+        signals[..., begin : begin + kept.shape[-1]] = kept
     return signals
 
 
