@@ -31,7 +31,7 @@ from suspnet.ground.types import FloatArray
 from suspnet.learning import METHODS, Scaling
 from suspnet.vehicle import GENERATORS, SpatialVehicle, Vehicle
 
-SCHEMA_VERSION = 15
+SCHEMA_VERSION = 16
 FEATURES = "features."  # name prefix of the feature set's arrays
 CALIBRATED: dict[str, tuple[str, Any]] = {
     "intervals.": ("intervals", Intervals),

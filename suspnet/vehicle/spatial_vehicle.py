@@ -83,6 +83,12 @@ class SpatialVehicle(VehicleFamily):
         "Places of the sensors; null is a pair at axle box 1, at `frame_sensor` and on the body",
         rule=f"list of {', '.join(PLACES)}; or null",
     )
+    speed_scatter: float = setting(
+        0.0,
+        "Standard deviation of the speed, over its mean, of what responses are the mean of",
+        low=0,
+        high=0.1,
+    )
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parts", ("roll", *self.parts))
@@ -172,8 +178,8 @@ class SpatialVehicle(VehicleFamily):
 
     @property
     def _layout(self) -> Layout:
-        layout = super()._layout
-        return replace(layout, floors=self._on_body) if "floors" in self.parts else layout
+        floors = self._on_body if "floors" in self.parts else ()
+        return replace(super()._layout, floors=floors, speed_scatter=self.speed_scatter)
 
     @property
     def inputs(self) -> tuple[str, ...]:

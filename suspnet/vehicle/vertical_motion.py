@@ -45,7 +45,8 @@ class Layout:
     """Parts of a vehicle and places of its sensors, as the fields of ``VerticalVehicle``.
 
     `empty_body_kg`: M_s without payload [kg], for which the bending frequency holds; `floors`:
-    places of sensors of the body that stand on local floors.
+    places of sensors of the body that stand on local floors; `speed_scatter`: standard deviation of
+    the speed over its mean [-].
     """
 
     bogie: str
@@ -55,6 +56,7 @@ class Layout:
     parts: tuple[str, ...]
     empty_body_kg: float
     floors: tuple[str, ...] = ()
+    speed_scatter: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -192,17 +194,18 @@ def secondary_element(
     `place` is the end of the names of its numbers, "" or that of a side, "_left".
     """
     stiffness, damping = p[f"{prefix}k_s{place}"], p[f"{prefix}c_s{place}"]
+    loss = p["secondary_loss"] if "nonlinear_dampers" in parts else None
     if "air_spring" in parts:
         ratio = p["volume_ratio"]
         volumes = (1 - p["area_share"]).clamp(min=0.0) * stiffness
         orifice = damping * ((1 + ratio) / ratio) ** 2
         # k_1 + k_2 = volumes (1 + N)^2 / N
         rate = volumes * (1 + ratio) ** 2 / ratio / orifice
-        return Element(stiffness, None, [(ratio * volumes, rate)])
+        return Element(stiffness, None, [(ratio * volumes, rate)], loss)
     if "bushings" in parts:
         bushing = p["secondary_bushing"]
-        return Element(stiffness, None, [(bushing, bushing / damping)])
-    return Element(stiffness, damping)
+        return Element(stiffness, None, [(bushing, bushing / damping)], loss)
+    return Element(stiffness, damping, loss=loss)
 
 
 def guidance_element(p: Mapping[str, Tensor]) -> Element:

@@ -339,13 +339,27 @@ def phasor(angle: Tensor) -> Tensor:
 
 
 def wheels_of(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> list[Tensor]:
-    """Return the motion of each wheelset relative to the measured one, exp(-j omega delay)."""
-    a, pivot = p["half_wheelbase"], p["half_pivot_distance"]
+    """Return the motion of each wheelset relative to the measured one, exp(-j omega delay).
+
+    Where the speed scatters by a share s, that is its mean over a normal distribution,
+    exp(-j omega delay - (s omega delay)^2 / 2).
+    """
     # One exponential for each of the two lengths is enough for all four wheelsets.
-    unit = phasor(omega * 2 * a / p["speed"])
-    other = phasor(omega * 2 * pivot / p["speed"])
+    angles = [
+        omega * 2 * p[name] / p["speed"] for name in ("half_wheelbase", "half_pivot_distance")
+    ]
+    unit, other = map(phasor, angles)
     measured = torch.ones_like(unit)
     wheels = [measured, unit] if layout.axle == "leading" else [unit.conj(), measured]
     if layout.bogie == "trailing":
         other = other.conj()
-    return [*wheels, *(other * wheel for wheel in wheels)]
+    wheels = [*wheels, *(other * wheel for wheel in wheels)]
+    if not layout.speed_scatter:
+        return wheels
+    first = 0 if layout.axle == "leading" else -1
+    own = [first * angles[0], (first + 1) * angles[0]]
+    far = angles[1] if layout.bogie == "leading" else -angles[1]
+    spread = [layout.speed_scatter * angle for angle in (*own, *(far + angle for angle in own))]
+    return [
+        wheel * torch.exp(-angle.square() / 2) for wheel, angle in zip(wheels, spread, strict=True)
+    ]

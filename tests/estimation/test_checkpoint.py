@@ -221,7 +221,7 @@ def test_altered_description_is_rejected(saved):
             '{"schema_version": 11, "model": "msvr", "training": {"commissioned": {}}}',
             "is a regression for the vehicle that healthy trips showed, .*: commission again",
         ),
-        ('{"schema_version": 2}', "schema version 2, this suspnet reads 15; train again"),
+        ('{"schema_version": 2}', "schema version 2, this suspnet reads 16; train again"),
     ],
 )
 def test_foreign_description_is_rejected(saved, content, message):

@@ -60,9 +60,7 @@ UNCERTAIN = {f"healthy_{name}": 0.05 for name in COMPONENTS[:-1]} | {"healthy_k_
 VEHICLE = SpatialVehicle(
     AM96, parts=("bushings", "frame_sway", "frame_yaw", "body_yaw"), distribution=UNCERTAIN
 )
-CONDITIONS = np.array(
-    [[-10.0, -10.0, 0.1, 0.2, 0.1, 0.2, 0.1], [0.0] * 7, [10.0, 10.0, -0.2, 0.1, -0.2, 0.1, -0.2]]
-)
+CONDITIONS = np.array([[-10.0, -10.0, *[0.1, 0.2] * 3], [0.0] * 8, [10.0, 10.0, *[-0.2, 0.1] * 3]])
 NOISE = torch.tensor([4e-3, 4e-3, 5e-6, 5e-6, 2e-7, 2e-7], dtype=torch.float64)
 
 
@@ -301,6 +299,25 @@ def test_what_bins_leak_is_no_error_of_the_vehicle(commissioned, segment_s, shar
     np.testing.assert_allclose(found.values, ratios(worn), rtol=2e-3)
 
 
+def test_a_speed_that_varies_within_the_trip_is_no_error_of_the_vehicle(commissioned):
+    """Exact spectra at three speeds that have the mean and the standard deviation."""
+    worn, scatter = {"c_p_axle2_left": 0.6}, 0.01
+    density = np.diag([1.0, 0.5, 0.1])
+    spectra = np.diag(NOISE.numpy()).astype(complex)
+    for off, weight in ((-math.sqrt(1.5), 1 / 3), (0.0, 1 / 3), (math.sqrt(1.5), 1 / 3)):
+        vehicle = replace(VEHICLE, speed_m_per_s=70.0 * (1 + off * scatter))
+        h = vehicle.channels(row(worn), BINS)[0].permute(2, 1, 0).numpy()
+        spectra = spectra + weight * h @ density @ h.conj().swapaxes(1, 2)
+    one = trip(SpectralMatrix(torch.as_tensor(spectra), N_AVERAGES), 70.0)
+    found, unaware = (
+        fit_parts(commissioned, replace(one, speed_scatter=known), start=ratios(worn))
+        for known in (scatter, 0.0)
+    )
+    print(found.misfit, unaware.misfit, found.values, unaware.values)
+    assert found.misfit < 0.3 * unaware.misfit
+    np.testing.assert_allclose(found.values, ratios(worn), rtol=2e-3)
+
+
 def test_parts_are_found_without_the_sensor_that_sensitivities_are_relative_to():
     parts = (*VEHICLE.parts, "sensors")
     gains = {"gain_frame_axle1_left": 1e-3, "gain_body_left": 1e-3}
@@ -492,7 +509,7 @@ def test_healthy_trips_of_different_temperatures_show_the_slopes_of_damping(comm
 
 def test_a_warm_and_rough_trip_is_read_as_under_the_conditions_of_the_healthy_ones(commissioned):
     """Dampers of both bogies follow the law: it is the weather, and one has worn."""
-    slopes, deviations = (-0.01, -0.02, -0.5, 0.3, 0.0, 0.0, 0.0), (1e-3, 2e-3, 0.1, 0.2, 0, 0, 0)
+    slopes, deviations = (-0.01, -0.02, -0.5, 0.3, *[0.0] * 4), (1e-3, 2e-3, 0.1, 0.2, *[0] * 4)
     faster = np.log([1.1, 0.8])
     shifts = np.array([-0.1, -0.2]) + np.multiply(slopes[2:4], faster)
     of_kind = dict(zip(("c_p", "c_s"), np.exp(shifts), strict=True))
@@ -512,7 +529,7 @@ def test_a_warm_and_rough_trip_is_read_as_under_the_conditions_of_the_healthy_on
     assert [part.names for part in worn_parts(found)] == [("c_p_axle2_right",)]
     # all but the error of the slopes is that of the fit
     spreads = np.hypot([0.01, 0.02], np.array([0.1, 0.2]) * faster)
-    exact = replace(law, covariance=tuple(map(tuple, np.zeros((7, 7)).tolist())))
+    exact = replace(law, covariance=tuple(map(tuple, np.zeros((8, 8)).tolist())))
     known = fit_parts(replace(bogie, law=exact), one, start=ratios({}), temperature_c=20.0)
     for i, name in enumerate(COMPONENTS):
         spread = spreads["ps".index(name[2])] if name[0] == "c" else 0.0
@@ -538,7 +555,7 @@ def speeds_of_dampers(vehicle, rows, seed):
 def test_dampers_are_read_as_at_their_own_speeds_while_healthy():
     """Wear changes the speed of each damper by another factor than that between the sensors."""
     plain = replace(VEHICLE, distribution={"healthy_k_s": 1e-3})
-    slopes, of_kind = (0.0, 0.0, -0.6, -0.4, 0.0, 0.0, 0.0), {"c_p": -0.6, "c_s": -0.4}
+    slopes, of_kind = (0.0, 0.0, -0.6, -0.4, *[0.0] * 4), {"c_p": -0.6, "c_s": -0.4}
     dampers = [name for name in COMPONENTS if name[0] == "c"]
     worn = {"k_p_axle2_right": 0.5, "c_s_right": 0.8}
 
@@ -560,7 +577,7 @@ def test_dampers_are_read_as_at_their_own_speeds_while_healthy():
     m_per_s = one.damper_speeds(VEHICLE.sensors) / np.array(list(by_pairs.values()))
     scale = one.damper_speeds(VEHICLE.sensors)[0] / pairs[0]
     usual = tuple(np.log(scale * healthy))
-    law = SuspensionLaw(None, tuple(m_per_s), slopes, ((0.0,) * 7,) * 7, usual)
+    law = SuspensionLaw(None, tuple(m_per_s), slopes, ((0.0,) * 8,) * 8, usual)
     vehicle = plain.with_parts(("nonlinear_dampers",))
     found = fit_parts(
         CommissionedBogie(vehicle, NOISE, np.ones(3), 1.0, True, NO_SCATTER, law), one
@@ -652,8 +669,8 @@ def test_derivatives_by_the_slopes_are_those_of_differences():
     x = fit.start() + 0.1
     jacobian = fit.exact.jacobian(x)
     assert fit.n_slopes == len(CONDITIONS[0])
-    loss = fit.numbers.names.index("rubber_loss")
-    for column in (loss, *range(fit.n_numbers, fit.n_shared + 1)):
+    losses = map(fit.numbers.names.index, ("rubber_loss", "secondary_loss"))
+    for column in (*losses, *range(fit.n_numbers, fit.n_shared + 1)):
         step = 1e-5 * np.eye(len(x))[column]
         ends = [fit.exact(x + sign * step) for sign in (1, -1)]
         difference = (ends[0] - ends[1]) / 2e-5

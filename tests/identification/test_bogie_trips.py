@@ -86,6 +86,8 @@ def test_bins_averages_and_speed_are_those_of_the_recording(short):
     assert trip.spectra.values.shape == (len(trip.frequencies_hz), 6, 6)
     assert trip.spectra.n_averages == pytest.approx(27, abs=3)  # of 12 minutes in bands of .04 Hz
     assert trip.speed_m_per_s == pytest.approx(70.0, abs=0.5)
+    usable = short.speed_m_per_s[short.usable]
+    assert trip.speed_scatter == pytest.approx(usable.std() / usable.mean(), rel=0.2)
     assert trip.frequencies_hz[trip.left_out].tolist() == pytest.approx([16.5, 16.6, 16.7, 16.8])
 
 

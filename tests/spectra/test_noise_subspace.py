@@ -1,17 +1,13 @@
 """Noise and excitation of single wheelsets: known answers, limits, bad input."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from reference import complex_normal
 
-from suspnet.trains.spectra.noise_subspace import (
-    SPACING_HZ,
-    DamperForces,
-    Leakage,
-    hat_functions,
-    trip_noise,
-)
+from suspnet.trains.spectra.noise_subspace import Leakage, trip_noise
 from suspnet.trains.spectra.subspace import SpectralMatrix
 
 N_FREQ, M, P, N_WHEELS, N_AVERAGES = 200, 6, 3, 4, 60
@@ -94,43 +90,18 @@ def test_leakage_is_that_of_the_formula():
         np.testing.assert_allclose(found[f].numpy(), expected, rtol=1e-12)
 
 
-def damper_forces(n_dampers=(4, 2), seed=6):
-    """Return what dampers of two kinds do to the sensors, a force along one direction each."""
-    rng = np.random.default_rng(seed)
-    bins_hz = torch.linspace(1, 9, N_FREQ, dtype=torch.float64)
-    changes = [
-        complex_normal(rng, n, 1, M, N_FREQ) * complex_normal(rng, n, P, 1, N_FREQ)
-        for n in n_dampers
-    ]
-    return DamperForces(bins_hz, list(map(torch.as_tensor, changes)))
-
-
-def test_forces_of_dampers_are_those_of_the_formula():
-    forces, density = damper_forces(), np.random.default_rng(7).uniform(1, 2, (P, N_FREQ))
-    hats = hat_functions(forces.frequencies_hz, SPACING_HZ).numpy()
-    found = forces.patterns(torch.as_tensor(density)).unflatten(0, (2, -1)).numpy()
-    for f in (0, 17, N_FREQ - 1):
-        for kind, changes in enumerate(forces.changes):
-            expected = np.zeros((M, M), complex)
-            for change in changes.numpy():
-                h = change[..., f].T
-                expected += h @ np.diag(density[:, f]) @ h.conj().T
-            for knot in range(hats.shape[1]):
-                np.testing.assert_allclose(
-                    found[kind, knot, f], hats[f, knot] * expected, rtol=1e-12, atol=1e-12
-                )
+def damper_forces(n_forces=3, seed=6):
+    """Return what forces along two directions do to the sensors, (n_forces, n_freq, m, m)."""
+    pulls = complex_normal(np.random.default_rng(seed), n_forces, N_FREQ, M, 2)
+    return torch.as_tensor(pulls @ pulls.conj().swapaxes(2, 3))
 
 
 def test_shares_of_dampers_forces_are_found():
-    """Each kind of damper has a share that changes with the frequency."""
     spectra, common, alone = drawn(np.zeros(P), n_averages=2000)
-    forces, density = damper_forces(), np.array([900.0, 400.0, 200.0])
-    truth = np.array([[0.02, 0.04, 0.0, 0.01, 0.03], [0.0, 0.05, 0.05, 0.02, 0.0]])
-    patterns = forces.patterns(torch.as_tensor(density)[:, None].expand(-1, N_FREQ))
-    pulled = torch.tensordot(torch.as_tensor(truth.ravel()).to(patterns), patterns, 1)
-    spectra = SpectralMatrix(spectra.values + pulled, spectra.n_averages)
+    forces, truth = damper_forces(), torch.tensor([20.0, 0.0, 5.0], dtype=torch.complex128)
+    spectra = replace(spectra, values=spectra.values + torch.tensordot(truth, forces, 1))
     found = trip_noise(spectra, common, alone, START, forces=forces)
-    np.testing.assert_allclose(found.of_forces.numpy(), truth, rtol=0.1, atol=2e-3)
+    np.testing.assert_allclose(found.of_forces.numpy(), truth.real, rtol=0.1, atol=0.1)
     np.testing.assert_allclose(found.densities.numpy(), NOISE, rtol=0.1)
     without = trip_noise(spectra, common, alone, START)
     assert (without.densities.numpy() > 1.5 * NOISE).any()
@@ -139,7 +110,7 @@ def test_shares_of_dampers_forces_are_found():
 def test_linear_dampers_have_no_shares():
     spectra, common, alone = drawn(np.zeros(P))
     found = trip_noise(spectra, common, alone, START, forces=damper_forces())
-    assert float(found.of_forces.max()) < 1e-3
+    assert float(found.of_forces.max()) < 0.02
     np.testing.assert_allclose(found.densities.numpy(), NOISE, rtol=0.1)
 
 

@@ -28,8 +28,9 @@ from suspnet.ground.types import FloatArray
 from suspnet.trains.fits.bogie_residuals import Residuals
 from suspnet.trains.spectra.bogie_trip import BogieTrip, smallest_noise
 from suspnet.trains.spectra.covariance_matching import matched_noise, misfit_of
+from suspnet.trains.spectra.damper_distortion import distortions
 from suspnet.trains.spectra.model_errors import Explained, model_errors
-from suspnet.trains.spectra.noise_subspace import DamperForces, Leakage, TripNoise, trip_noise
+from suspnet.trains.spectra.noise_subspace import Leakage, TripNoise, trip_noise
 from suspnet.trains.spectra.subspace import SpectralMatrix
 from suspnet.vehicle import SpatialVehicle
 from suspnet.vehicle.quantities import LOAD_DEVIATIONS, MASS_DEVIATION, MASS_MEAN, LogNormal
@@ -76,9 +77,9 @@ class BogieMisfit:
     n_tied) makes the logarithms of all parts and the mass from, the mass last. Where the vehicle
     has the part load, log(1 + where its centre is [m]) follows, of each direction of
     ``LOAD_DEVIATIONS``. `mass` is what the masses of the trips are expected about, the median of
-    their prior. `conditions` (n_trips, 7) are those of the trips that their suspension depends on,
+    their prior. `conditions` (n_trips, 8) are those of the trips that their suspension depends on,
     None if it is that of the vehicle; its slopes (`suspnet.estimation.suspension_law`) are `slopes`
-    (7,), or, None, follow z, in deviations from their prior. `errors` are those of the vehicle's
+    (8,), or, None, follow z, in deviations from their prior. `errors` are those of the vehicle's
     responses (n_freq, n_sensors) [-], see `suspnet.trains.spectra.model_errors`. `chance` are the
     standard deviations by which c_p and c_s differ by chance. `faster` (n_trips, 12) are the
     logarithms of how much faster each of ``DAMPERS`` is than `conditions` say, None: not at all.
@@ -150,16 +151,16 @@ class BogieMisfit:
 
     @cached_property
     def _follows(self) -> FloatArray:
-        """Whether a column follows each slope, (7, n_columns)."""
+        """Whether a column follows each slope, (8, n_columns)."""
         return follows(self.generator.columns)
 
     @cached_property
     def _by_dampers(self) -> FloatArray:
-        """By how much a column follows each slope by each damper's speed, (7, 12, n_columns)."""
+        """By how much a column follows each slope by each damper's speed, (8, 12, n_columns)."""
         return by_dampers(self.generator.columns)
 
     def _slopes_at(self, x: FloatArray) -> FloatArray:
-        """Return the slopes of the suspension's law, (7,), 0 where the trips do not tell them."""
+        """Return the slopes of the suspension's law, (8,), 0 where the trips do not tell them."""
         if self.slopes is not None:
             return self.slopes
         slopes, n = np.zeros(len(SLOPES)), self.n_slopes
@@ -331,33 +332,60 @@ class BogieMisfit:
             noises.append(replace(at_bins, matrix=matrix))
         return noises
 
-    def _forces(self, x: FloatArray, i: int) -> DamperForces:
-        """Return what the dampers of both bogies do to the sensors of trip i."""
-        trip, columns = self.trips[i], self.generator.columns
-        bins_hz = self.frequencies_hz[trip.of(self.all_bins)]
-        kinds = [
-            [p + name for p in ("", "other_") for name in COMPONENTS if name.startswith(kind)]
-            for kind in ("c_p", "c_s")
-        ]
-        dampers = [columns.index(name) for of_kind in kinds for name in of_kind]
-        each = torch.eye(len(columns), dtype=torch.float64)[dampers]
+    def _forces(self, x: FloatArray, i: int) -> Tensor:
+        """Return what incoherent forces of both bogies' dampers do to the sensors of trip i.
+
+        Shape (n_forces, n_freq, m, m), of both kinds of dampers.
+        """
+        trip, used = self.trips[i], self.trips[i].of(self.all_bins)
+        each = torch.eye(len(self.generator.columns), dtype=torch.float64)
+        each = each[[self.generator.columns.index(name) for name in DAMPERS]]
+        bins_hz = self.frequencies_hz[used]
         _, (changes,) = self._of(trip).channels_along(self._rows(x, i), bins_hz, each)
         changes = changes[:, self._inputs][:, :, self.sensors_of(trip)]
-        return DamperForces(bins_hz, changes.split(list(map(len, kinds))))
+        kinds = [[j for j, name in enumerate(DAMPERS) if kind in name] for kind in ("c_p", "c_s")]
+        motion = self._of_dampers(x, i)
+        return distortions(self.frequencies_hz, *motion, changes, used, kinds)
+
+    def _of_dampers(self, x: FloatArray, i: int) -> tuple[Tensor, Tensor]:
+        """Return the responses of the dampers' velocities on trip i, and the spectra of its inputs.
+
+        Shapes (n_freq, 12, p) and (n_freq, p, p). The inputs are those that the vehicle at x
+        explains the trip best with.
+        """
+        trip, bins_hz = self.trips[i], self.frequencies_hz
+        responses = self._responses_at(x, i, bins_hz)
+        inputs = _input_spectra(trip.spectra, self.noises[i], responses)
+        used = trip.of(self.all_bins)  # what is left out is like the nearest bin
+        inputs = inputs[used[(self.all_bins[:, None] - used).abs().argmin(dim=1)]]
+        strokes = self._of(trip).strokes(self._rows(x, i), bins_hz)[0, self._inputs]
+        strokes = self._on_rails(x, i, strokes).permute(2, 1, 0)
+        return strokes / (2j * torch.pi * bins_hz[:, None, None]), inputs
 
     def _leakage(self, x: FloatArray, i: int, responses: Tensor) -> Leakage | None:
-        """Return what the bins of trip i, whose responses those are, take from their neighbours."""
-        trip = self.trips[i]
-        if trip.welch is None:
-            return None
-        weights = trip.welch.smear(trip.n_bins)
-        taps = torch.arange(len(weights)) - len(weights) // 2
+        """Return what the bins of trip i, whose responses those are, take from others.
+
+        These are their neighbours, and those of other speeds within the trip: two that have its
+        mean and standard deviation.
+        """
+        trip, weights, beside = self.trips[i], [], []
         bins_hz = self.frequencies_hz[trip.of(self.all_bins)]
-        away, weights = taps[taps != 0], weights[taps != 0]
-        # all neighbours of all bins at once: a call has its price
-        beside_hz = bins_hz + away[:, None] / trip.welch.segment_s
-        beside = self._responses_at(x, i, beside_hz.flatten()).unflatten(-1, beside_hz.shape)
-        return Leakage(weights, beside.movedim(2, 0) - responses)
+        if trip.welch is not None:
+            smear = trip.welch.smear(trip.n_bins)
+            taps = torch.arange(len(smear)) - len(smear) // 2
+            away = taps[taps != 0]
+            weights.append(smear[taps != 0])
+            # all neighbours of all bins at once: a call has its price
+            beside_hz = bins_hz + away[:, None] / trip.welch.segment_s
+            every = self._responses_at(x, i, beside_hz.flatten()).unflatten(-1, beside_hz.shape)
+            beside.append(every.movedim(2, 0))
+        if trip.speed_scatter:
+            weights.append(torch.full((2,), 0.5, dtype=torch.float64))
+            for off in (-trip.speed_scatter, trip.speed_scatter):
+                speed = trip.speed_m_per_s * (1 + off)
+                vehicle = replace(self._of(trip), speed_m_per_s=speed, speed_scatter=0.0)
+                beside.append(self._responses_at(x, i, bins_hz, vehicle)[None])
+        return Leakage(torch.cat(weights), torch.cat(beside) - responses) if beside else None
 
     def with_noise_at(self, x: FloatArray) -> BogieMisfit:
         """Return the fit with the noise of each trip for the vehicle at x."""
@@ -381,19 +409,14 @@ class BogieMisfit:
     def own_speeds(self, x: FloatArray) -> FloatArray:
         """Return the logarithm of the speed [m/s] of each of ``DAMPERS``, (n_trips, 12).
 
-        The inputs are those that the vehicle at x explains the trip best with. 0 if the suspension
-        does not depend on them.
+        0 if the suspension does not depend on them.
         """
         if not self.has_speeds:
             return np.zeros((len(self.trips), len(DAMPERS)))
-        every, omega = [], 2 * torch.pi * self.frequencies_hz
-        width_hz = float(self.frequencies_hz[:2].diff())
-        for i, (trip, noise) in enumerate(zip(self.trips, self.noises, strict=True)):
-            responses = self._responses_at(x, i, self.frequencies_hz)
-            inputs = _input_spectra(trip.spectra, noise, responses)
-            strokes = self._of(trip).strokes(self._rows(x, i), self.frequencies_hz)
-            strokes = self._on_rails(x, i, strokes[0, self._inputs]).permute(2, 1, 0)
-            power = (strokes @ inputs * strokes.conj()).real.sum(dim=2) / omega[:, None] ** 2
+        width_hz, every = float(self.frequencies_hz[:2].diff()), []
+        for i, trip in enumerate(self.trips):
+            velocities, inputs = self._of_dampers(x, i)
+            power = (velocities @ inputs * velocities.conj()).real.sum(dim=2)
             every.append(power[trip.of(self.all_bins)].sum(dim=0) * width_hz)
         return np.asarray(np.log(torch.stack(every).numpy()) / 2)
 
@@ -427,7 +450,7 @@ class BogieMisfit:
         return DEVIATIONS[:n, None] * self._conditions_of(i)[:n]
 
     def _conditions_of(self, i: int) -> FloatArray:
-        """Return what each slope is multiplied by for each column on trip i, (7, n_columns)."""
+        """Return what each slope is multiplied by for each column on trip i, (8, n_columns)."""
         assert self.conditions is not None
         factors: FloatArray = self.conditions[i][:, None] * self._follows
         return factors if self.faster is None else factors + self.faster[i] @ self._by_dampers
@@ -443,16 +466,20 @@ class BogieMisfit:
         return [i for i, name in enumerate(self.generator.inputs) if not name.startswith(alone)]
 
     @cached_property
-    def _vehicles(self) -> dict[tuple[float, Direction], SpatialVehicle]:
+    def _vehicles(self) -> dict[tuple[float, float, Direction], SpatialVehicle]:
         """Vehicles at the trips' speeds: making one takes as long as a tenth of an evaluation."""
-        conditions = {(trip.speed_m_per_s, trip.direction) for trip in self.trips}
         return {
-            (speed, direction): replace(self.generator, speed_m_per_s=speed).running(direction)
-            for speed, direction in conditions
+            (trip.speed_m_per_s, trip.speed_scatter, trip.direction): replace(
+                self.generator,
+                speed_m_per_s=trip.speed_m_per_s,
+                speed_scatter=trip.speed_scatter,
+                direction=trip.direction,
+            )
+            for trip in self.trips
         }
 
     def _of(self, trip: BogieTrip) -> SpatialVehicle:
-        return self._vehicles[trip.speed_m_per_s, trip.direction]
+        return self._vehicles[trip.speed_m_per_s, trip.speed_scatter, trip.direction]
 
     def _rows(self, x: FloatArray, i: int) -> Tensor:
         """Return all columns of ratios of trip i, (1, n_columns)."""
@@ -482,9 +509,12 @@ class BogieMisfit:
         """Return the responses of trip i's sensors to the inputs, (p, m, n_freq)."""
         return self._responses_at(x, i, self.frequencies_hz[self.trips[i].of(bins)])
 
-    def _responses_at(self, x: FloatArray, i: int, frequencies_hz: Tensor) -> Tensor:
+    def _responses_at(
+        self, x: FloatArray, i: int, frequencies_hz: Tensor, vehicle: SpatialVehicle | None = None
+    ) -> Tensor:
         trip = self.trips[i]
-        every = self._of(trip).channels(self._rows(x, i), frequencies_hz)[0, self._inputs]
+        vehicle = vehicle or self._of(trip)
+        every = vehicle.channels(self._rows(x, i), frequencies_hz)[0, self._inputs]
         return self._on_rails(x, i, every[:, self.sensors_of(trip)])
 
     def _on_rails(self, x: FloatArray, i: int, by_input: Tensor) -> Tensor:

@@ -26,7 +26,12 @@ from suspnet.trains.recordings.manifest_sources import MIDDLE
 from suspnet.trains.recordings.recording import Recording
 from suspnet.trains.sensors.swapped_sensors import check_order
 from suspnet.trains.spectra.bogie_trip import BogieTrip
-from suspnet.trains.spectra.segments import segment_speeds, sensor_segments, without_loud
+from suspnet.trains.spectra.segments import (
+    even_segments,
+    segment_speeds,
+    sensor_segments,
+    without_loud,
+)
 from suspnet.trains.spectra.steady_parts import groups_to_read, minutes_words
 from suspnet.trains.spectra.subspace import SpectralMatrix
 from suspnet.trains.spectra.wheel_lines import line_bins, wheel_lines
@@ -157,6 +162,9 @@ def _trip_of_all(
     if recording.duration_s < segment_s:
         raise NoEstimateError(_too_short(0, n_sensors, segment_s, n_bins))
     names, segments = sensor_segments(recording, Welch(segment_s))
+    levels = torch.zeros(len(segments.first))
+    if not is_few:
+        segments, levels = even_segments(recording, Welch(segment_s))
     place_of = _places(recording.manifest, generator.frame_sensor)
     places = [place_of.get(name) for name in names]
     order = [places.index(place) for place in generator.places if place not in lost]
@@ -169,6 +177,8 @@ def _trip_of_all(
         raise NoEstimateError(_too_short(n_chosen, n_sensors, segment_s, n_bins))
     bins = _bins(segments.frequencies_hz, every)
     matrix = SpectralMatrix.of(segments, chosen, n_bins).at(bins).of_sensors(order)
+    # as large as where they are as rough as they are on average
+    matrix = replace(matrix, values=matrix.values * torch.exp(2 * levels[chosen].mean()))
     frequencies_hz, lines = segments.frequencies_hz[bins], wheel_lines(recording)
     (low_hz, high_hz), reach_hz = MAINS_HZ, (HUM_BINS + n_bins // 2) / segment_s
     left_out = (frequencies_hz >= low_hz - reach_hz) & (frequencies_hz <= high_hz + reach_hz)
@@ -182,6 +192,7 @@ def _trip_of_all(
         left_out,
         segments.welch,
         n_bins,
+        float(speeds[chosen].std(correction=0) / speeds[chosen].mean()),
     )
 
 

@@ -27,6 +27,7 @@ class BogieTrip(ShortRepr):
     says which of them hold other signals, None: none; `lost` are those of the vehicle's sensors
     that the trip has not. `welch` are the segments that leak into neighbouring bins, None: none do;
     each of `frequencies_hz` is in the middle of `n_bins` of their bins, whose spectra are averaged.
+    `speed_scatter` [-] is the standard deviation of the speed within them over its mean.
     """
 
     frequencies_hz: Tensor
@@ -37,6 +38,7 @@ class BogieTrip(ShortRepr):
     left_out: Tensor | None = None
     welch: Welch | None = None
     n_bins: int = 1
+    speed_scatter: float = 0.0
 
     def of(self, bins: Tensor) -> Tensor:
         """Return the numbers of those bins that are not left out."""

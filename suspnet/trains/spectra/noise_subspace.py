@@ -1,18 +1,13 @@
 """What the spectral matrix of sensors holds besides the inputs that all wheelsets meet.
 
 Sensors have white noise of densities n_i, wheels out of round or rail joints excite each wheelset
-alone, and dampers pull with forces that are incoherent with the inputs, as they blow off, stick or
-choke. With D_k the density of input k (elevation, cross level, alignment), h_kw the responses of
-the sensors to that input under wheelset w alone, and H those to the inputs of all::
+alone, and dampers that blow off, stick or choke pull with forces that are incoherent with the
+inputs (`suspnet.trains.spectra.damper_distortion`). With D_k the density of input k (elevation,
+cross level, alignment), h_kw the responses of the sensors to that input under wheelset w alone, and
+H those to the inputs of all::
 
     S = H D H^* + N,    N = diag(n) + sum_k a_k D_k sum_w h_kw h_kw^*
-                            + sum_c b_c(f) sum_d H_d D H_d^* + sum_j s_j G_j D G_j^*
-
-H_d is the change of H with the logarithm of damper d: what a force does to the sensors that is as
-large as the damper's own. Driven by noise, a damper of any law pulls like a linear one and with a
-rest that is incoherent with its velocity (Bussgang, MIT RLE Technical Report 216, 1952). For each
-kind c of dampers, the rest has the fraction b_c(f) of the density of their forces, a non-negative
-sum of hat functions ``SPACING_HZ`` apart.
+                            + sum_c b_c F_c + sum_j s_j G_j D G_j^*
 
 The last term is what a segment of length T leaks into a bin: with s_j the smear of its window
 (`Welch.smear`), bin f holds sum_j s_j H(f + j/T) D H(f + j/T)^*, of which G_j = H(f + j/T) - H(f)
@@ -33,7 +28,6 @@ depend on H, so that errors of the vehicle are not taken for noise.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -41,7 +35,6 @@ from scipy.optimize import nnls
 from torch import Tensor
 from torch.nn.functional import avg_pool1d
 
-from suspnet.trains.spectra.hat_functions import hat_functions
 from suspnet.trains.spectra.subspace import SpectralMatrix
 
 ROUNDS = 4
@@ -49,8 +42,6 @@ ROUNDS = 4
 their standard deviation at most (12 draws of tests/spectra/test_noise_subspace.py)."""
 LEAST_NOISE = 1e-3
 """Least noise of a sensor over that of the first round."""
-SPACING_HZ = 2.0
-"""Distance of the frequencies between which shares of dampers' forces are interpolated."""
 MOST_TAKEN = 0.5
 """Largest fraction of the noise that inputs are taken to have drawn into their own directions."""
 SMOOTH_BINS = 9
@@ -76,32 +67,10 @@ class Leakage:
 
 
 @dataclass(frozen=True)
-class DamperForces:
-    """What dampers do to the sensors with forces that their linear laws do not explain.
-
-    `frequencies_hz` are the bins (n_freq,), `changes` the H_d of each kind of dampers,
-    (n_dampers, p, m, n_freq).
-    """
-
-    frequencies_hz: Tensor
-    changes: Sequence[Tensor]
-
-    def patterns(self, densities: Tensor) -> Tensor:
-        """Return the matrices that b_c(f) make N from, (n_kinds n_knots, n_freq, m, m).
-
-        `densities` (p, n_freq) are D.
-        """
-        hats = hat_functions(self.frequencies_hz, SPACING_HZ).T[:, :, None, None]
-        roots = densities.sqrt()[:, None]
-        pulls = [(changes * roots).flatten(0, 1).permute(2, 1, 0) for changes in self.changes]
-        return torch.cat([hats * (pull @ pull.mH) for pull in pulls])
-
-
-@dataclass(frozen=True)
 class TripNoise:
     """Noise of the sensors (m,) [(m/s^2)^2/Hz], and the shares of other sources.
 
-    `shares` (k,) are those of what excites wheelsets alone, `of_forces` (n_kinds, n_knots) those of
+    `shares` (k,) are those of what excites wheelsets alone, `of_forces` (n_forces,) those of
     dampers' forces. `matrix` is N, (n_freq, m, m) [(m/s^2)^2/Hz].
     """
 
@@ -117,14 +86,14 @@ def trip_noise(
     alone: Tensor,
     start: Tensor,
     leakage: Leakage | None = None,
-    forces: DamperForces | None = None,
+    forces: Tensor | None = None,
 ) -> TripNoise:
     """Return the noise of a trip, given responses of the vehicle that are about right.
 
     `responses` (p, m, n_freq) are H, `alone` (k, n_wheelsets, m, n_freq) the h_kw of its first k
-    inputs, `start` (m,) the densities n of the first round. Without `leakage`, bins hold
-    none; without `forces`, dampers are linear. ValueError if there are not more averages than
-    sensors.
+    inputs, `start` (m,) the densities n of the first round, `forces` (n_forces, n_freq, m, m) the
+    F_c. Without `leakage`, bins hold none; without `forces`, dampers are linear. ValueError if
+    there are not more averages than sensors.
     """
     p, m, _ = responses.shape
     if spectra.n_averages <= m:
@@ -151,7 +120,7 @@ def trip_noise(
         alone_densities = densities[: len(alone), :, None, None]
         sources = [units.expand(-1, len(own[0]), -1, -1), alone_densities * own]
         if forces is not None:
-            sources.append(forces.patterns(densities))
+            sources.append(forces)
         patterns = torch.cat(sources)
         seen = left.mH @ patterns @ left
         sizes = seen.diagonal(dim1=-2, dim2=-1).real.mean(dim=(1, 2)).clamp(min=1e-300)
@@ -164,8 +133,7 @@ def trip_noise(
         shared = (numbers[m:, None, None, None] * patterns[m:]).sum(dim=0)
         matrix = torch.diag(noise) + shared + leaked
     shares, of_forces = numbers[m:].split([len(alone), len(patterns) - m - len(alone)])
-    n_kinds = 1 if forces is None else len(forces.changes)
-    return TripNoise(noise, shares, of_forces.unflatten(0, (n_kinds, -1)), matrix)
+    return TripNoise(noise, shares, of_forces, matrix)
 
 
 def _left_of_noise(power: Tensor, n_averages: float) -> Tensor:

@@ -14,6 +14,7 @@ from suspnet.ground.tensors import as_tensor
 from suspnet.ground.types import FloatArray
 from suspnet.trains.recordings.dead_sensors import check_copies
 from suspnet.trains.recordings.recording import Recording
+from suspnet.trains.spectra.evened_level import log_levels
 
 LOUD = 30.0
 """Segments with more than this multiple of the median power are excluded before averaging."""
@@ -46,6 +47,18 @@ def sensor_segments(recording: Recording, welch: Welch) -> tuple[list[str], Segm
     sensors = recording.sensors()
     check_copies(sensors, recording.usable, recording.manifest.path)
     return list(sensors), _faultless(recording, np.stack(list(sensors.values())), welch)
+
+
+def even_segments(recording: Recording, welch: Welch) -> tuple[SegmentSpectra, Tensor]:
+    """Return the segments of `sensor_segments` at an even level, and the logarithm of that of each.
+
+    The latter is the mean of `log_levels` over each segment, (n_segments,).
+    """
+    signals = np.stack(list(recording.sensors().values()))
+    levels = log_levels(signals, recording.usable, recording.rate_hz)
+    segments = _faultless(recording, signals / np.exp(levels), welch)
+    length, _ = welch.sizes(recording.rate_hz)
+    return segments, as_tensor(levels).unfold(0, length, 1)[segments.first].mean(dim=1)
 
 
 def _faultless(recording: Recording, signals: FloatArray, welch: Welch) -> SegmentSpectra:
