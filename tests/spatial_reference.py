@@ -44,6 +44,7 @@ def numbers(vehicle, ratios):
     columns = zip(vehicle.columns, np.asarray(ratios, dtype=float), strict=True)
     n = {name: ratio * nominal.get(name, 1.0) for name, ratio in columns}
     mass = n["M_s"] / v.body_mass_kg if "payload" in vehicle.parts else 1.0
+    n["dry_friction"] = n["secondary_loss"] * n["healthy_k_s"]  # of any load
     n["healthy_k_s"] *= mass ** n["stiffness_exponent"]
     n["healthy_c_s"] *= mass ** n["damping_exponent"]
     n["body_gyration"] *= mass ** n["gyration_exponent"]
@@ -56,6 +57,16 @@ def in_series(*stiffnesses):
     return 1 / sum(1 / one for one in stiffnesses)
 
 
+def ladder(n, k, s):
+    """Return what the loss factor n of a spring k adds to its dynamic stiffness."""
+    found = 0
+    for share, hertz in zip(LOSS_SHARES, LOSS_HZ, strict=True):
+        share = share * n * k
+        middle = in_series(share, share / (2 * math.pi * hertz) * 2j * math.pi * 2.7)
+        found += in_series(share, share / (2 * math.pi * hertz) * s) - middle.real
+    return found
+
+
 def primary(n, parts, k, c, s):
     """Return the dynamic stiffness of a corner: half a bogie side's."""
     damper = in_series(c * s, n["primary_bushing"]) if "bushings" in parts else c * s
@@ -63,22 +74,21 @@ def primary(n, parts, k, c, s):
         return (k + damper) / 2
     branch = n["rubber_share"] * k
     spring = k + in_series(branch, branch / (2 * math.pi * n["rubber_frequency"]) * s)
-    for share, hertz in zip(LOSS_SHARES, LOSS_HZ, strict=True):
-        share = share * n["rubber_loss"] * k
-        middle = in_series(share, share / (2 * math.pi * hertz) * 2j * math.pi * 2.7)
-        spring += in_series(share, share / (2 * math.pi * hertz) * s) - middle.real
-    return (spring + damper) / 2
+    return (spring + ladder(n["rubber_loss"], k, s) + damper) / 2
 
 
 def secondary(n, parts, k, c, s):
     """Return the dynamic stiffness of a side."""
+    lossy = 0
+    if "nonlinear_dampers" in parts:
+        lossy = ladder(1, n["dry_friction"], s) - ladder(1, n["dry_friction"], 1j * math.pi).real
     if "air_spring" in parts:
         volume = (1 - n["area_share"]) * k  # k_1 k_2 / (k_1 + k_2)
         k_2 = volume * (1 + n["volume_ratio"]) / n["volume_ratio"]
         k_1 = n["volume_ratio"] * k_2
         orifice = c * ((k_1 + k_2) / k_1) ** 2
-        return n["area_share"] * k + in_series(k_1, k_2 + orifice * s)
-    return k + (in_series(c * s, n["secondary_bushing"]) if "bushings" in parts else c * s)
+        return n["area_share"] * k + in_series(k_1, k_2 + orifice * s) + lossy
+    return k + lossy + (in_series(c * s, n["secondary_bushing"]) if "bushings" in parts else c * s)
 
 
 def moved(body, place, axis):

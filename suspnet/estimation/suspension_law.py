@@ -48,7 +48,6 @@ SLOPES = (
     Slope("k_p", "primary speed", 0.0, 0.05),
     Slope("k_s", "secondary speed", 0.0, 0.05),
     Slope("rubber_loss", "primary speed", -0.5, 0.5),
-    Slope("secondary_loss", "secondary speed", -0.5, 0.5),
 )
 """Dampers lose more below -10 °C. A damper whose force does not depend on the speed has a = -1, a
 linear one 0, and the choke of an air spring, of which the force grows with the power 1.8 of the
@@ -58,7 +57,7 @@ DEVIATIONS = np.array([slope.deviation for slope in SLOPES])
 N_OF_TEMPERATURE = sum(slope.condition == CONDITIONS[0] for slope in SLOPES)
 """Number of slopes of the temperature, which are the first."""
 BY_SPEED = np.arange(len(SLOPES)) >= N_OF_TEMPERATURE
-"""Whether each slope is one over the speed, (8,)."""
+"""Whether each slope is one over the speed, (7,)."""
 
 
 def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
@@ -70,7 +69,7 @@ class SuspensionLaw:
     """The law of a commissioned vehicle.
 
     `healthy_c` is T_0 [°C], `healthy_m_per_s` v_0 of the primary and the secondary suspension, each
-    None if unknown; `slopes` (8,) and `covariance` (8, 8) are mean and covariance of ``SLOPES``.
+    None if unknown; `slopes` (7,) and `covariance` (7, 7) are mean and covariance of ``SLOPES``.
     `own_speeds` (12,) are the logarithms of v_0 [m/s] of each of ``DAMPERS``, 0 where no slope is
     of the speed.
     """
@@ -152,7 +151,7 @@ class SuspensionLaw:
         return type(self)(self.healthy_c, speeds, tuple(means.tolist()), _rows(wide), own)
 
     def conditions(self, temperature_c: float | None, speeds_m_per_s: FloatArray) -> FloatArray:
-        """Return what each slope of a trip is multiplied by, (8,); 0 where it is not known.
+        """Return what each slope of a trip is multiplied by, (7,); 0 where it is not known.
 
         `speeds_m_per_s` (2,) are those of both suspensions, NaN if unknown.
         """
@@ -169,7 +168,7 @@ class SuspensionLaw:
     ) -> tuple[FloatArray, FloatArray]:
         """Return by how much parts read are off, and the covariance of their logarithms by slopes.
 
-        Shapes (n_names,) and (n_names, n_names). They were read under `conditions` (8,), and
+        Shapes (n_names,) and (n_names, n_names). They were read under `conditions` (7,), and
         ``DAMPERS`` are faster than these say by factors with the logarithms `faster` (12,). The
         errors of the slopes are the same for all parts of a kind.
         """
@@ -179,7 +178,7 @@ class SuspensionLaw:
 
 
 def follows(names: Sequence[str]) -> FloatArray:
-    """Return whether a number follows each slope, (8, n_names): 1 for parts of the slope's kind.
+    """Return whether a number follows each slope, (7, n_names): 1 for parts of the slope's kind.
 
     Those of the other bogie follow as those of the measured one do.
     """
@@ -191,7 +190,7 @@ def follows(names: Sequence[str]) -> FloatArray:
 
 
 def by_dampers(names: Sequence[str]) -> FloatArray:
-    """Return by how much each slope of a number follows the speed of each damper, (8, 12, n_names).
+    """Return by how much each slope of a number follows the speed of each damper, (7, 12, n_names).
 
     1 for one of ``DAMPERS`` and the spring beside it, equal shares where all of a kind are one.
     """
@@ -204,7 +203,7 @@ def by_dampers(names: Sequence[str]) -> FloatArray:
 
 
 def beyond_pairs(own_speeds: FloatArray, conditions: FloatArray) -> FloatArray:
-    """Return how much faster each of ``DAMPERS`` is than `conditions` (..., 8) say, (..., 12).
+    """Return how much faster each of ``DAMPERS`` is than `conditions` (..., 7) say, (..., 12).
 
     `own_speeds` (..., 12) are the logarithms of their speeds over those of the healthy trips.
     """

@@ -32,6 +32,8 @@ LOSS_HZ = (0.2, 1.0, 5.0, 25.0)
 """Relaxation frequencies of the branches that represent a loss factor, [Hz]."""
 LOSS_SHARES = (1.377, 1.004, 0.979, 1.421)
 """Stiffness of each branch over eta k: the minimax fit of a loss of 1 from 0.3 to 20 Hz."""
+SLIDES_HZ = 0.5
+"""Frequency up to which dry friction adds no stiffness, as motions are large, [Hz]."""
 LOSS_REFERENCE_HZ = 2.7
 """Frequency at which the ladder does not change the stiffness, the middle of its band, [Hz]."""
 RAIL_LATERAL_M = 0.75
@@ -194,18 +196,24 @@ def secondary_element(
     `place` is the end of the names of its numbers, "" or that of a side, "_left".
     """
     stiffness, damping = p[f"{prefix}k_s{place}"], p[f"{prefix}c_s{place}"]
-    loss = p["secondary_loss"] if "nonlinear_dampers" in parts else None
+    spring, loss = stiffness, None
+    if "nonlinear_dampers" in parts:
+        # dry friction beside the spring: it does not wear, and slides where motions are slow
+        friction = p["secondary_loss"] * p["healthy_k_s"]
+        stored, _ = _ladder(torch.full_like(friction, 2 * math.pi * SLIDES_HZ))
+        spring = stiffness - friction * stored
+        loss = friction / spring
     if "air_spring" in parts:
         ratio = p["volume_ratio"]
         volumes = (1 - p["area_share"]).clamp(min=0.0) * stiffness
         orifice = damping * ((1 + ratio) / ratio) ** 2
         # k_1 + k_2 = volumes (1 + N)^2 / N
         rate = volumes * (1 + ratio) ** 2 / ratio / orifice
-        return Element(stiffness, None, [(ratio * volumes, rate)], loss)
+        return Element(spring, None, [(ratio * volumes, rate)], loss)
     if "bushings" in parts:
         bushing = p["secondary_bushing"]
-        return Element(stiffness, None, [(bushing, bushing / damping)], loss)
-    return Element(stiffness, damping, loss=loss)
+        return Element(spring, None, [(bushing, bushing / damping)], loss)
+    return Element(spring, damping, loss=loss)
 
 
 def guidance_element(p: Mapping[str, Tensor]) -> Element:

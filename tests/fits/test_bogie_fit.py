@@ -60,7 +60,9 @@ UNCERTAIN = {f"healthy_{name}": 0.05 for name in COMPONENTS[:-1]} | {"healthy_k_
 VEHICLE = SpatialVehicle(
     AM96, parts=("bushings", "frame_sway", "frame_yaw", "body_yaw"), distribution=UNCERTAIN
 )
-CONDITIONS = np.array([[-10.0, -10.0, *[0.1, 0.2] * 3], [0.0] * 8, [10.0, 10.0, *[-0.2, 0.1] * 3]])
+CONDITIONS = np.array(
+    [[-10.0, -10.0, 0.1, 0.2, 0.1, 0.2, 0.1], [0.0] * 7, [10.0, 10.0, -0.2, 0.1, -0.2, 0.1, -0.2]]
+)
 NOISE = torch.tensor([4e-3, 4e-3, 5e-6, 5e-6, 2e-7, 2e-7], dtype=torch.float64)
 
 
@@ -509,7 +511,7 @@ def test_healthy_trips_of_different_temperatures_show_the_slopes_of_damping(comm
 
 def test_a_warm_and_rough_trip_is_read_as_under_the_conditions_of_the_healthy_ones(commissioned):
     """Dampers of both bogies follow the law: it is the weather, and one has worn."""
-    slopes, deviations = (-0.01, -0.02, -0.5, 0.3, *[0.0] * 4), (1e-3, 2e-3, 0.1, 0.2, *[0] * 4)
+    slopes, deviations = (-0.01, -0.02, -0.5, 0.3, 0.0, 0.0, 0.0), (1e-3, 2e-3, 0.1, 0.2, 0, 0, 0)
     faster = np.log([1.1, 0.8])
     shifts = np.array([-0.1, -0.2]) + np.multiply(slopes[2:4], faster)
     of_kind = dict(zip(("c_p", "c_s"), np.exp(shifts), strict=True))
@@ -529,7 +531,7 @@ def test_a_warm_and_rough_trip_is_read_as_under_the_conditions_of_the_healthy_on
     assert [part.names for part in worn_parts(found)] == [("c_p_axle2_right",)]
     # all but the error of the slopes is that of the fit
     spreads = np.hypot([0.01, 0.02], np.array([0.1, 0.2]) * faster)
-    exact = replace(law, covariance=tuple(map(tuple, np.zeros((8, 8)).tolist())))
+    exact = replace(law, covariance=tuple(map(tuple, np.zeros((7, 7)).tolist())))
     known = fit_parts(replace(bogie, law=exact), one, start=ratios({}), temperature_c=20.0)
     for i, name in enumerate(COMPONENTS):
         spread = spreads["ps".index(name[2])] if name[0] == "c" else 0.0
@@ -555,7 +557,7 @@ def speeds_of_dampers(vehicle, rows, seed):
 def test_dampers_are_read_as_at_their_own_speeds_while_healthy():
     """Wear changes the speed of each damper by another factor than that between the sensors."""
     plain = replace(VEHICLE, distribution={"healthy_k_s": 1e-3})
-    slopes, of_kind = (0.0, 0.0, -0.6, -0.4, *[0.0] * 4), {"c_p": -0.6, "c_s": -0.4}
+    slopes, of_kind = (0.0, 0.0, -0.6, -0.4, 0.0, 0.0, 0.0), {"c_p": -0.6, "c_s": -0.4}
     dampers = [name for name in COMPONENTS if name[0] == "c"]
     worn = {"k_p_axle2_right": 0.5, "c_s_right": 0.8}
 
@@ -577,7 +579,7 @@ def test_dampers_are_read_as_at_their_own_speeds_while_healthy():
     m_per_s = one.damper_speeds(VEHICLE.sensors) / np.array(list(by_pairs.values()))
     scale = one.damper_speeds(VEHICLE.sensors)[0] / pairs[0]
     usual = tuple(np.log(scale * healthy))
-    law = SuspensionLaw(None, tuple(m_per_s), slopes, ((0.0,) * 8,) * 8, usual)
+    law = SuspensionLaw(None, tuple(m_per_s), slopes, ((0.0,) * 7,) * 7, usual)
     vehicle = plain.with_parts(("nonlinear_dampers",))
     found = fit_parts(
         CommissionedBogie(vehicle, NOISE, np.ones(3), 1.0, True, NO_SCATTER, law), one

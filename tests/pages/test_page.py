@@ -159,9 +159,9 @@ def test_sensors_of_one_end_alone_show_no_suspension():
 
 def test_page_holds_the_law_of_damping_over_temperature(commissioned):
     found, outcome = commissioned
-    deviations = 0.002, 0.0003, 0.05, 0.1, 0.01, 0.01, 0.2, 0.2
+    deviations = 0.002, 0.0003, 0.05, 0.1, 0.01, 0.01, 0.2
     covariance = tuple(map(tuple, np.diag(np.square(deviations)).tolist()))
-    law = SuspensionLaw(12.0, (0.1, 0.2), (-0.004, -0.0051, -0.3, 0.1, 0, 0, -1, -1), covariance)
+    law = SuspensionLaw(12.0, (0.1, 0.2), (-0.004, -0.0051, -0.3, 0.1, 0, 0, -1), covariance)
     warm = replace(outcome, bogie=replace(outcome.bogie, law=law))
     written = json.loads(json.dumps(as_json(found, warm, [1.0] * len(found.of_parts))))
     assert written["suspension_law"] == json.loads(json.dumps(asdict(law)))

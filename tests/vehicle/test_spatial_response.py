@@ -67,6 +67,22 @@ def test_channels_are_those_of_points_and_axes_in_space(parts, bogie, axle, dire
             np.testing.assert_allclose(one[..., column] / scale, expected / scale, atol=1e-9)
 
 
+@pytest.mark.parametrize(("bogie", "axle"), list(itertools.product(SIDES, SIDES)))
+def test_responses_at_a_speed_that_scatters_are_their_mean(bogie, axle):
+    """All four wheelsets follow the mean of both rails, each as late as its place says."""
+    generator = vehicle((), bogie=bogie, axle=axle)
+    rows, nodes = rows_of(generator), np.polynomial.hermite_e.hermegauss(20)
+    every = [
+        replace(generator, speed_m_per_s=52.0 / (1 + 0.02 * node)).channels(rows, FREQUENCIES)[:, 0]
+        for node in nodes[0]
+    ]
+    expected = np.tensordot(nodes[1] / nodes[1].sum(), np.stack(every), 1)
+    found = replace(generator, speed_scatter=0.02).channels(rows, FREQUENCIES)[:, 0].numpy()
+    scale = np.abs(expected).max()
+    np.testing.assert_allclose(found, expected, atol=1e-9 * scale)
+    assert np.abs(found - generator.channels(rows, FREQUENCIES)[:, 0].numpy()).max() > 1e-3 * scale
+
+
 @pytest.mark.parametrize("direction", ["forward", "reverse"])
 def test_channels_alone_are_the_motion_of_one_wheelset(direction):
     generator = vehicle(direction=direction)

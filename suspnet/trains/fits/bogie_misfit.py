@@ -77,9 +77,9 @@ class BogieMisfit:
     n_tied) makes the logarithms of all parts and the mass from, the mass last. Where the vehicle
     has the part load, log(1 + where its centre is [m]) follows, of each direction of
     ``LOAD_DEVIATIONS``. `mass` is what the masses of the trips are expected about, the median of
-    their prior. `conditions` (n_trips, 8) are those of the trips that their suspension depends on,
+    their prior. `conditions` (n_trips, 7) are those of the trips that their suspension depends on,
     None if it is that of the vehicle; its slopes (`suspnet.estimation.suspension_law`) are `slopes`
-    (8,), or, None, follow z, in deviations from their prior. `errors` are those of the vehicle's
+    (7,), or, None, follow z, in deviations from their prior. `errors` are those of the vehicle's
     responses (n_freq, n_sensors) [-], see `suspnet.trains.spectra.model_errors`. `chance` are the
     standard deviations by which c_p and c_s differ by chance. `faster` (n_trips, 12) are the
     logarithms of how much faster each of ``DAMPERS`` is than `conditions` say, None: not at all.
@@ -151,16 +151,16 @@ class BogieMisfit:
 
     @cached_property
     def _follows(self) -> FloatArray:
-        """Whether a column follows each slope, (8, n_columns)."""
+        """Whether a column follows each slope, (7, n_columns)."""
         return follows(self.generator.columns)
 
     @cached_property
     def _by_dampers(self) -> FloatArray:
-        """By how much a column follows each slope by each damper's speed, (8, 12, n_columns)."""
+        """By how much a column follows each slope by each damper's speed, (7, 12, n_columns)."""
         return by_dampers(self.generator.columns)
 
     def _slopes_at(self, x: FloatArray) -> FloatArray:
-        """Return the slopes of the suspension's law, (8,), 0 where the trips do not tell them."""
+        """Return the slopes of the suspension's law, (7,), 0 where the trips do not tell them."""
         if self.slopes is not None:
             return self.slopes
         slopes, n = np.zeros(len(SLOPES)), self.n_slopes
@@ -450,7 +450,7 @@ class BogieMisfit:
         return DEVIATIONS[:n, None] * self._conditions_of(i)[:n]
 
     def _conditions_of(self, i: int) -> FloatArray:
-        """Return what each slope is multiplied by for each column on trip i, (8, n_columns)."""
+        """Return what each slope is multiplied by for each column on trip i, (7, n_columns)."""
         assert self.conditions is not None
         factors: FloatArray = self.conditions[i][:, None] * self._follows
         return factors if self.faster is None else factors + self.faster[i] @ self._by_dampers
