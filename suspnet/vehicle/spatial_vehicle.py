@@ -53,8 +53,8 @@ class SpatialVehicle(VehicleFamily):
     body_yaw, creep (sway and yaw of the wheelsets), torsion (of the frames), track (that gives way
     under the wheelsets), second_bending and body_torsion, equipment (hung below the floor),
     floors (local ones below the body's sensors), cross_axis (of the sensors), load (whose centre of
-    mass may be anywhere) and nonlinear_dampers (``estimation/suspension_law.py``, of trips
-    alone); roll is always one of them. The vehicle is the vertical one where nothing differs and
+    mass may be anywhere) and nonlinear_dampers (``estimation/suspension_law.py``, with dry friction
+    beside secondary springs); roll is always one of them. The vehicle is the vertical one where nothing differs and
     these are absent. `sensors` are from ``PLACES``, by default a pair at axle box 1, at
     `frame_sensor` and on the body; sensitivities and delays are relative to the first of them.
 

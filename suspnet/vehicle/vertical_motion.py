@@ -15,7 +15,8 @@ A constant loss factor, j eta at every frequency, is not causal and has no motio
 Lambda(s) = sum_i l_i (s / (s + r_i) - (its real part at 2.7 Hz)) is a ladder of Maxwell branches
 (``LOSS_HZ``, ``LOSS_SHARES``). From 0.3 to 20 Hz its imaginary part is 1 within 1.3 %; the
 stiffness increases with frequency, as causality requires: (1 - 1.5 eta) k at 0.3 Hz, k at 2.7 Hz,
-(1 + 1.4 eta) k at 20 Hz.
+(1 + 1.4 eta) k at 20 Hz. Dry friction beside a secondary spring is a ladder, too, that adds no
+stiffness at ``SLIDES_HZ``: its eta k_s is that of the healthy, empty vehicle.
 """
 
 from __future__ import annotations
