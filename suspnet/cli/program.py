@@ -10,7 +10,7 @@ import sys
 import traceback
 from collections.abc import Callable, Iterator
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
@@ -255,15 +255,12 @@ def _end_job(line: str) -> int:
     return folders.MISTAKE
 
 
-@contextmanager
-def _progress() -> Iterator[None]:
+def _progress() -> AbstractContextManager[None]:
     """Send progress lines to standard error, with the job's number in a multirun."""
-    with ExitStack() as stack:
-        if logging.getLogger().handlers:  # hydra/job_logging=none asks for silence
-            job = HydraConfig.get().job
-            number = "" if OmegaConf.is_missing(job, "num") else f"{job.num}: "
-            stack.enter_context(progress.on_stderr(number))
-        yield
+    if not logging.getLogger().handlers:  # hydra/job_logging=none asks for silence
+        return nullcontext()
+    job = HydraConfig.get().job
+    return progress.on_stderr("" if OmegaConf.is_missing(job, "num") else f"{job.num}: ")
 
 
 def _check_limits(config: DictConfig) -> None:
