@@ -111,14 +111,11 @@ def settings_of(class_: Any) -> Mapping[str, Declared]:
         type_, note = get_args(hint)[:2] if get_origin(hint) is Annotated else (hint, None)
         declaration = field_.metadata.get("setting") or note
         if isinstance(declaration, Setting):
-            settings[field_.name] = _declared(field_.name, type_, declaration)
+            parts = get_args(type_) if get_origin(type_) in (Union, UnionType) else (type_,)
+            types = [part for part in parts if part is not NoneType]
+            type_ = types[0] if len(types) == 1 else type_
+            settings[field_.name] = Declared(field_.name, type_, NoneType in parts, declaration)
     return settings
-
-
-def _declared(name: str, type_: Any, setting: Setting) -> Declared:
-    parts = get_args(type_) if get_origin(type_) in (Union, UnionType) else (type_,)
-    types = [part for part in parts if part is not NoneType]
-    return Declared(name, types[0] if len(types) == 1 else type_, NoneType in parts, setting)
 
 
 LARGEST = 1e20
