@@ -160,15 +160,13 @@ FREE_S, SECONDS_PER_BYTE, MOST_S = 20.0, 1e-6, 300.0
 """Time [s] that a reader may take for one step: 20 s, plus 1 s per megabyte, at most 300 s."""
 
 
-def most_samples(path: Path) -> int:
-    """Return the largest number of samples that a channel of a file may have."""
-    with open_plain(path) as stream:
-        return min(MOST_SAMPLES, FREE_SAMPLES + SAMPLES_PER_BYTE * stored_bytes(stream))
-
-
 def check_samples(path: Path, n_samples: int) -> None:
     """Raise TripError if a file declares more samples than a recording of its size can have."""
-    if n_samples > FREE_SAMPLES and n_samples > (most := most_samples(path)):
+    if n_samples <= FREE_SAMPLES:
+        return
+    with open_plain(path) as stream:
+        most = min(MOST_SAMPLES, FREE_SAMPLES + SAMPLES_PER_BYTE * stored_bytes(stream))
+    if n_samples > most:
         raise TripError(Finding("too-many-samples", path=path, n_samples=n_samples, most=most))
 
 
