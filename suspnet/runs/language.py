@@ -1,7 +1,5 @@
 """Language of the pages: gettext catalogues of the package, English where no other is chosen."""
 
-from __future__ import annotations
-
 import functools
 import gettext as catalogues
 import re
@@ -9,12 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from importlib import resources
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from suspnet.ground.findings import LIST, OF, TEMPLATES, Filling, Finding, together
-
-if TYPE_CHECKING:
-    from jinja2 import Environment
 
 ENGLISH = "en"
 LANGUAGES = (ENGLISH, "de")
@@ -154,14 +149,3 @@ def _of_finding(finding: Finding) -> str:
     forms = TEMPLATES[finding.kind]
     template = ngettext(*forms, values["n"]) if len(forms) == 2 else gettext(forms[0])
     return _Spoken().vformat(template, (), values)
-
-
-def install(environment: Environment) -> None:
-    """Let templates translate: ``_()``, ``{% trans %}`` and the filter ``translated``.
-
-    The extension jinja2.ext.i18n must be part of the environment.
-    """
-    environment.policies["ext.i18n.trimmed"] = True
-    environment.install_gettext_callables(  # type: ignore[attr-defined]
-        gettext, ngettext, newstyle=True
-    )

@@ -23,7 +23,7 @@ from suspnet.ground.parameters import (
 )
 from suspnet.ground.storage import write_atomically
 from suspnet.ground.wording import NO_NUMBER, number, thousands, unbroken
-from suspnet.runs.language import N_, current, decimal, gettext, install, spoken
+from suspnet.runs.language import N_, current, decimal, gettext, ngettext, spoken
 from suspnet.trains.maintenance.judge import ABSURD
 from suspnet.trains.maintenance.life import Life
 
@@ -64,7 +64,10 @@ def environment() -> Environment:
 
 def equip(environment: Environment) -> None:
     """Give an environment with ``OPTIONS`` the language, filters and globals of all pages."""
-    install(environment)
+    environment.policies["ext.i18n.trimmed"] = True
+    environment.install_gettext_callables(  # type: ignore[attr-defined]
+        gettext, ngettext, newstyle=True
+    )
     environment.filters |= FILTERS
     environment.globals |= GLOBALS
 
