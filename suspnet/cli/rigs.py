@@ -1,7 +1,5 @@
 """Rigs in the programs: train on healthy records, evaluate later ones."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Commissioned rigs as a file, rig.json, without pickle."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from pathlib import Path

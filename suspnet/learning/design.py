@@ -4,8 +4,6 @@ Phi is in memory as a whole only if it is small: products are computed in blocks
 `DenseDesign` serves every `FeatureMap`; ``equispaced`` has a faster design in ``toeplitz``.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ and is stored as the pair (beta, K beta), with K the kernel matrix of the sample
 second half, and inner products are beta^T K beta'.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from dataclasses import replace

@@ -8,8 +8,6 @@ the file: deleting them frees whole pages.
 A state is JSON-able values with arrays among them, stored as one safetensors file.
 """
 
-from __future__ import annotations
-
 import json
 import sqlite3
 from collections import Counter

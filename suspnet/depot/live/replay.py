@@ -3,8 +3,6 @@
 Frames hold the raw samples of each sensor, with the times at which they were taken.
 """
 
-from __future__ import annotations
-
 import heapq
 import logging
 import re

@@ -1,7 +1,5 @@
 """The store of a fleet's history: an SQLite file, or a PostgreSQL server by its URL."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager

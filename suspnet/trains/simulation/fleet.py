@@ -1,7 +1,5 @@
 """Simulated fleets: trips, the wear that these follow, and trains."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
