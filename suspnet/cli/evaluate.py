@@ -93,18 +93,12 @@ def _evaluate(config: DictConfig, history: Callable[[], History]) -> int:
         return worst(ALARMS.get(severity, FINE) for severity in urgent)
     runs, output = named_runs(config.run), program.run_folder()
     program.save_config(config, output)
-    if config.trips is not None:
-        return _read_trips(config, runs, output, history() if config.store else None)
-    _score(config, runs, output)
-    return FINE
-
-
-def _read_trips(
-    config: DictConfig, runs: Sequence[Path], output: Path, store: History | None
-) -> int:
-    """Read a folder of trips with the models of some runs; return the exit code."""
+    if config.trips is None:
+        _score(config, runs, output)
+        return FINE
     models = [load_model(folder, config.device) for folder in runs]
     trips, settings = Path(config.trips), build(config, "monitor")
+    store = history() if config.store else None
     options = config.progress, store, config.seed, config.figures
     return exit_code(evaluate_fleet(trips, models, output, settings, *options))
 
