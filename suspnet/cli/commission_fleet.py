@@ -11,14 +11,13 @@ from dataclasses import asdict, dataclass
 from logging.handlers import BufferingHandler
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 from tabulate import tabulate
 
 from suspnet.cli import folders, program
 from suspnet.cli.config_files import as_written
-from suspnet.cli.typed_words import of_each_name
 from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground import own_files
 from suspnet.ground.extras import check_extra, optional
@@ -29,9 +28,8 @@ from suspnet.ground.workers import LostWorkerError, each
 from suspnet.runs.sweeps import run_errors
 
 with optional("trips"):
-    from suspnet.trains.trips.grouping import Group, find_groups
-if TYPE_CHECKING:
     from suspnet.trains.recordings.manifest_files import ManifestFile
+    from suspnet.trains.trips.grouping import Group, find_groups
 
 log = logging.getLogger(__name__)
 LOG = "train.log"  # name of the log in each run's folder
@@ -129,11 +127,6 @@ def train_fleet(
             f"command with {quote(f'resume={folder}')} tries these again"
         )
     write_json(folder / folders.FLEET, rows)
-
-
-def read_numbers(numbers: Any) -> Any:
-    """Return `n_healthy` with {NAME: number} of the command line, which is text, as a mapping."""
-    return of_each_name(numbers) if isinstance(numbers, str) else numbers
 
 
 def first_trips(wanted: Any, names: Sequence[str]) -> dict[str, int | None]:

@@ -8,21 +8,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 from sklearn.exceptions import ConvergenceWarning
 
 from suspnet.cli import folders, program
-from suspnet.cli.commission_fleet import (
-    HealthySettings,
-    of_group,
-    read_numbers,
-    suspensions,
-    train_fleet,
-)
+from suspnet.cli.commission_fleet import HealthySettings, of_group, suspensions, train_fleet
 from suspnet.cli.kinds import build
 from suspnet.cli.rigs import is_rig, train_rig
+from suspnet.cli.typed_words import of_each_name
 from suspnet.curves.estimates import EstimateSettings
 from suspnet.curves.problem import Problem
 from suspnet.estimation.bogie_model import BogieModel
@@ -44,7 +38,6 @@ with optional("trips"):  # `suspensions` says what is missing
         write_bogie_model,
     )
     from suspnet.trains.pages.commissioning_page import training_notes, write_outcome
-if TYPE_CHECKING:
     from suspnet.trains.recordings.manifest_files import ManifestFile
 
 log = logging.getLogger(__name__)
@@ -64,7 +57,8 @@ def main(config: DictConfig) -> None:
     warnings.simplefilter("always", ConvergenceWarning)
     check_language(config.language)
     program.n_threads(config.threads)  # healthy trips are fitted before the models are
-    config.n_healthy = read_numbers(config.n_healthy)
+    if isinstance(config.n_healthy, str):
+        config.n_healthy = of_each_name(config.n_healthy)
     if is_rig(config):
         train_rig(config, program.run_folder())
         return

@@ -13,9 +13,9 @@ from omegaconf import DictConfig, OmegaConf
 from trip_fixtures import small_fleet
 
 from suspnet.cli import check, folders, replay
-from suspnet.cli.commission_fleet import first_trips, read_numbers
+from suspnet.cli.commission_fleet import first_trips
 from suspnet.cli.config_files import CONFIGS
-from suspnet.cli.typed_words import FOLDERS_OF_HYDRA, PATHS, as_overrides, listed
+from suspnet.cli.typed_words import FOLDERS_OF_HYDRA, PATHS, as_overrides, listed, of_each_name
 from suspnet.ground.wording import command
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
@@ -78,7 +78,7 @@ def test_what_is_no_path_and_what_hydra_reads_as_typed_stays():
 
 def test_numbers_of_suspensions_with_any_name_are_read():
     word = "n_healthy={417_003:4,Züge_links:3}"
-    numbers = OmegaConf.create({"n": read_numbers(read([word]).n_healthy)}).n
+    numbers = OmegaConf.create({"n": of_each_name(read([word]).n_healthy)}).n
     assert isinstance(numbers, DictConfig)
     assert first_trips(numbers, ["417_003", "Züge_links"]) == {"417_003": 4, "Züge_links": 3}
 
