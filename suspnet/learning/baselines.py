@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from sklearn import kernel_ridge, linear_model, svm
 from sklearn.base import BaseEstimator
 from sklearn.metrics.pairwise import rbf_kernel
+from sklearn.utils import gen_batches
 from sklearn.utils.validation import check_is_fitted
 from torch import Tensor
 
@@ -144,8 +145,7 @@ def _kernel_expansion(
 ) -> FloatArray:
     """Return sum_j exp(-|x_i - v_j|^2 / sigma^2) dual_j, a block of rows at a time."""
     expansion = np.empty((len(X), *dual.shape[1:]))
-    for start in range(0, len(X), PREDICT_ROWS):
-        rows = slice(start, start + PREDICT_ROWS)
+    for rows in gen_batches(len(X), PREDICT_ROWS):
         expansion[rows] = rbf_kernel(X[rows], vectors, gamma=1 / sigma**2) @ dual
     return expansion
 

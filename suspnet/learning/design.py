@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 import torch
+from sklearn.utils import gen_batches
 from torch import Tensor, cholesky_solve
 
 from suspnet.learning.feature_maps import FeatureMap
@@ -123,9 +124,7 @@ class DenseDesign(Design):
         self.X = X
         self._gram_columns = gram_columns
         self._basis, self._make = feature_map.basis, feature_map.raw
-        self._slices = [
-            slice(start, min(start + block_rows, len(X))) for start in range(0, len(X), block_rows)
-        ]
+        self._slices = list(gen_batches(len(X), block_rows))
         first = self._make(X.new_zeros(1, X.shape[1]))
         self._width = first.shape[1]
         self.n_features = self._width if self._basis is None else self._basis.shape[1]

@@ -189,11 +189,8 @@ class MSVR(Regressor):
         """Return predictions, shape (n_samples,) or (n_samples, n_outputs) as `y` was."""
         samples = as_tensor(self._inputs(X)).to(self.device)
         coef = torch.tensor(self.coef_, device=self.device)
-        predicted = np.empty((len(samples), coef.shape[1]))
-        for start in range(0, len(samples), PREDICT_ROWS):
-            rows = slice(start, start + PREDICT_ROWS)
-            predicted[rows] = self._map.apply(samples[rows], coef).double().cpu().numpy()
-        return self._as_trained(predicted + self.intercept_)
+        blocks = [self._map.apply(rows, coef).double() for rows in samples.split(PREDICT_ROWS)]
+        return self._as_trained(torch.cat(blocks).cpu().numpy() + self.intercept_)
 
     def state(self) -> dict[str, FloatArray]:
         """Return the arrays that define the fitted model together with the parameters."""
