@@ -21,8 +21,7 @@ from suspnet.vehicle import VerticalVehicle
 if TYPE_CHECKING:
     from suspnet.trains.recordings.recording import Recording
 
-BOGIE = "bogie"
-"""Name of such models, beside those of ``suspnet.learning.METHODS``."""
+BOGIE = "bogie"  # name of such models, beside those of ``suspnet.learning.METHODS``
 
 
 @dataclass(frozen=True, repr=False)

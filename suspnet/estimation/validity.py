@@ -23,17 +23,14 @@ from suspnet.ground.types import FloatArray
 from suspnet.learning import Scaling
 from suspnet.vehicle import VerticalVehicle
 
-MAY_BE_INFINITE = ("ood.thresholds",)
-"""Arrays in which infinity means that there is no threshold."""
+MAY_BE_INFINITE = ("ood.thresholds",)  # arrays in which infinity means that there is no threshold
 LARGEST_RATIO = 1000.0
 """Largest plausible ratio to healthy, or its inverse, in a model's estimate for the middle of its
 training data."""
-SAME_FEATURES = 1e-6
-"""Largest relative difference of features between processors."""
+SAME_FEATURES = 1e-6  # largest relative difference of features between processors
 FAR = 1000.0
 """Largest distance of the mean of the training data from the healthy vehicle, in deviations."""
-DEPTH = 20
-"""Largest nesting depth of a description; real ones have 5 levels."""
+DEPTH = 20  # largest nesting depth of a description; real ones have 5 levels
 
 
 def check_numbers(content: Any, where: str = "model.json", depth: int = 0) -> None:

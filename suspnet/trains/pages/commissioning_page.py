@@ -29,8 +29,7 @@ from suspnet.trains.recordings.manifest import CHANNELS
 from suspnet.trains.spectra.subspace import SpectralMatrix
 
 log = logging.getLogger(__name__)
-NAME = "commissioning"
-"""Base name of the files."""
+NAME = "commissioning"  # base name of the files
 MEASURED, NOMINAL, FITTED = "0.7", "tab:orange", "tab:blue"
 
 
