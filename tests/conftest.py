@@ -106,13 +106,12 @@ def _workers_forked():
     """Fork the workers of all pools, as programs do, from the server that forks programs."""
     from forked import forks
 
-    from suspnet.cli import program
     from suspnet.ground import workers
 
     forks()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(workers, "start_method", "forkserver")
-        patch.setattr(program, "fork_from_server", lambda *_: None)  # the server imports more
+        patch.setattr(workers, "fork_from_server", lambda *_: None)  # the server imports more
         yield
 
 

@@ -33,18 +33,11 @@ from suspnet.cli import config_files, folders, signals
 from suspnet.cli.config_files import CONFIGS, as_written, check_values
 from suspnet.cli.loader import CheckedLoader
 from suspnet.cli.typed_words import as_overrides
-from suspnet.ground import progress
+from suspnet.ground import progress, workers
 from suspnet.ground.extras import missing_words, named_extras
 from suspnet.ground.parameters import DEFAULT_LIMITS, read_limits
 from suspnet.ground.settings import check_number
 from suspnet.ground.storage import printable, why, write_atomically
-from suspnet.ground.workers import (
-    LostWorkerError,
-    end_with_parent,
-    environment,
-    fork_from_server,
-    guard_joblib,
-)
 
 WITH_OPTIONS = ("check", "demo", "history", "init")  # programs that read no configuration
 POOLS = {
@@ -129,7 +122,7 @@ def _serve_workers(name: str, config: DictConfig) -> None:
     module, number, work = POOLS.get(name, ("", "", ""))
     n_workers = OmegaConf.select(config, number) if OmegaConf.select(config, work) else None
     if isinstance(n_workers, int):  # null depends on the number of trips
-        fork_from_server(module, n_workers)
+        workers.fork_from_server(module, n_workers)
 
 
 def _imported(name: str) -> ModuleType:
@@ -151,14 +144,14 @@ def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
     The exit code of SIGTERM is 143, unless the program handles signals itself (`unwinds` is false).
     HYDRA_FULL_ERROR=1 shows the traceback instead.
     """
-    guard_joblib()
+    workers.guard_joblib()
     if "TORCHELASTIC_RUN_ID" in os.environ:  # every process would write the same run
         sys.exit("error: torchrun cannot spread a program over processes: start it with python")
     try:
         with (
             progress.visible(),
             signals.terminable() if unwinds else nullcontext(),
-            environment({DEBUG: "1"}),  # Hydra raises errors, here and in child processes
+            workers.environment({DEBUG: "1"}),  # Hydra raises errors, here and in child processes
             _checked_loader(),
             named_extras(),
         ):
@@ -179,7 +172,7 @@ def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
         if is_debugging:
             raise
         sys.exit(one_line(error))
-    except (LostWorkerError, BrokenProcessPool) as error:
+    except (workers.LostWorkerError, BrokenProcessPool) as error:
         sys.exit(f"{one_line(error)}; {folders.how_to_resume()}")
 
 
@@ -224,7 +217,7 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
 
     @functools.wraps(function)
     def wrapped(config: DictConfig) -> Any:
-        end_with_parent()
+        workers.end_with_parent()
         try:
             check_values(config)
             _check_limits(config)
