@@ -20,17 +20,7 @@ from suspnet.ground.wording import command
 from suspnet.ground.workers import LostWorkerError, each, workers_for
 from suspnet.runs.language import speaking
 from suspnet.trains.jobs.check import CheckSettings, Opened, check_trip
-from suspnet.trains.pages.check_page import (
-    NEED_A_VEHICLE,
-    PROBLEM,
-    READY,
-    TripCheck,
-    summary,
-    suspensions,
-    with_distinct_names,
-    with_shared_data,
-    write_checks,
-)
+from suspnet.trains.pages import check_page
 from suspnet.trains.recordings.manifest_files import find_trips
 from suspnet.trains.trips.sensor_checks import NO_DIRECTION
 
@@ -51,11 +41,11 @@ def check(arguments: Namespace) -> int:
     with progress.on_stderr():
         n_workers = workers_for(len(paths), arguments.workers)
         checked = _checked(paths, settings, n_workers, arguments.language)
-        checks = with_shared_data(with_distinct_names(checked))
+        checks = check_page.with_shared_data(check_page.with_distinct_names(checked))
     with speaking(arguments.language):
-        page = write_checks(checks, elsewhere, output)
-    print(f"{summary(checks, elsewhere)}\n-> {page}")
-    code = int(bool(elsewhere) or any(check.state == PROBLEM for check in checks))
+        page = check_page.write_checks(checks, elsewhere, output)
+    print(f"{check_page.summary(checks, elsewhere)}\n-> {page}")
+    code = int(bool(elsewhere) or any(check.state == check_page.PROBLEM for check in checks))
     names = {vehicle.name for vehicle in options.values()} | set(of_rigs)
     for line in next_steps(arguments, checks, names, code):
         print(printable(line))
@@ -64,7 +54,7 @@ def check(arguments: Namespace) -> int:
 
 def _checked(
     paths: Sequence[Path], settings: CheckSettings, n_workers: int, language: str
-) -> list[TripCheck]:
+) -> list[check_page.TripCheck]:
     opened = Opened() if n_workers == 1 else None  # processes share nothing
     # the losses that one trip of a folder would name are shown: the first may not be ready
     n_of: Counter[Path] = Counter()
@@ -77,21 +67,21 @@ def _checked(
     checks = {}
     for (path, *_), result in progress.bar("trips", len(paths), items=done, unit="trip"):
         if isinstance(result, LostWorkerError):
-            result = TripCheck(path, problems=(str(result),))
+            result = check_page.TripCheck(path, problems=(str(result),))
         checks[path] = result
     return [checks[path] for path in paths]
 
 
 def _check_one(
     item: tuple[Path, str, bool], settings: CheckSettings, opened: Opened | None, language: str
-) -> TripCheck:
+) -> check_page.TripCheck:
     path, picture, with_losses = item
     with speaking(language):
         return check_trip(path, replace(settings, with_losses=with_losses), picture, opened)
 
 
 def next_steps(
-    arguments: Namespace, checks: Sequence[TripCheck], names: Container[str], code: int
+    arguments: Namespace, checks: Sequence[check_page.TripCheck], names: Container[str], code: int
 ) -> list[str]:
     """Return lines with the command to run next; `code` is the exit code.
 
@@ -107,11 +97,14 @@ def next_steps(
         again = command("check", *arguments.trips, "--config-dir", folder or "DIR")
         where = f", where DIR is the folder with vehicle/{unknown[0]}.yaml"
         return [
-            f"not checked without the numbers of {', '.join(unknown)}: {NEED_A_VEHICLE}",
+            f"not checked without the numbers of {', '.join(unknown)}: {check_page.NEED_A_VEHICLE}",
             f"to check them too: {again}{where * (folder is None)}",
         ]
     vehicles = {check.vehicle for check in checks}
-    ready_of = [[c for c in each if c.state == READY] for each in suspensions(checks).values()]
+    ready_of = [
+        [c for c in each if c.state == check_page.READY]
+        for each in check_page.suspensions(checks).values()
+    ]
     n_ready = [len(ready) for ready in ready_of]
     folder, *others = arguments.trips
     # a command that would fail or take part of the trips only is not proposed

@@ -17,13 +17,7 @@ from suspnet.vehicle.rig import Rig
 
 with optional("trips"):
     from suspnet.estimation.rig_files import RIG_FILE, load_rig
-    from suspnet.trains.jobs.rigs import (
-        commission_folder,
-        commissioning_lines,
-        holds_records,
-        read_folder,
-        reading_lines,
-    )
+    from suspnet.trains.jobs import rigs
 
 log = logging.getLogger(__name__)
 OF_ANY = ("job", "seed", "threads", "progress", "figures", "language")
@@ -41,7 +35,7 @@ def is_rig(config: DictConfig) -> bool:
         return True
     if config.healthy is not None:
         check_extra("trips")
-        if holds_records(Path(config.healthy)):
+        if rigs.holds_records(Path(config.healthy)):
             raise ValueError(
                 f"{config.healthy} holds records of a rig, but vehicle={config.vehicle.name} is "
                 "none: give --config-dir DIR, the folder with its file vehicle/NAME.yaml, in which "
@@ -58,9 +52,9 @@ def train_rig(config: DictConfig, folder: Path) -> None:
     check_extra("trips")
     _check_typed(OF_TRAINING)
     HealthySettings(config.n_healthy)  # raises if it is wrong
-    commissioned = commission_folder(rig, Path(config.healthy), folder, config.n_healthy)
+    commissioned = rigs.commission_folder(rig, Path(config.healthy), folder, config.n_healthy)
     program.save_config(config, folder)
-    for line in commissioning_lines(commissioned):
+    for line in rigs.commissioning_lines(commissioned):
         log.info("%s", line)
     log.info("then run: %s", command("evaluate", "trips=DIR", f"run={folder}"))
 
@@ -83,8 +77,8 @@ def evaluate_rig(config: DictConfig, output: Path) -> list[Severity]:
     stated = {name: limits[name].to_dict() if name in limits else None for name in DEFAULT_LIMITS}
     rig = replace(rig, rig=replace(rig.rig, limits=stated))
     program.save_config(config, output)
-    results = read_folder(rig, Path(config.trips), output, level)
-    for line in reading_lines(rig, results, level):
+    results = rigs.read_folder(rig, Path(config.trips), output, level)
+    for line in rigs.reading_lines(rig, results, level):
         log.info("%s", line)
     log.info("-> %s", output / "records.csv")
     return [result.severity for result in results]

@@ -31,12 +31,7 @@ from suspnet.runs.train import RunContext, train
 with optional("trips"):  # `suspensions` says what is missing
     from suspnet.trains.fits.commissioning import as_bogie
     from suspnet.trains.identification.healthy_trips import read_healthy
-    from suspnet.trains.jobs.commissioning import (
-        check_generator,
-        commission_parts,
-        prior_of,
-        write_bogie_model,
-    )
+    from suspnet.trains.jobs import commissioning
     from suspnet.trains.pages.commissioning_page import training_notes, write_outcome
     from suspnet.trains.recordings.manifest_files import ManifestFile
 
@@ -79,7 +74,7 @@ def main(config: DictConfig) -> None:
     if len(groups) > 1 or (groups and groups[0].folder != Path(config.healthy)):
         at_a_speed = _at_a_speed(config)
         _check_healthy(at_a_speed)
-        check_generator(build(at_a_speed, "generator"))
+        commissioning.check_generator(build(at_a_speed, "generator"))
         train_fleet(config, folder, groups, _run)
     else:
         folders.start_again(folder)
@@ -102,7 +97,7 @@ def _run(config: DictConfig, folder: Path, paths: Sequence[ManifestFile] | None 
     if config.healthy is not None:
         model = _commissioned(_at_a_speed(config), folder, paths)
         program.save_config(config, folder)
-        write_bogie_model(folder, model)
+        commissioning.write_bogie_model(folder, model)
         return
     if config.speed_m_per_s is None:
         raise ValueError(NO_HEALTHY)
@@ -134,7 +129,7 @@ def _commissioned(
     # wrong settings are refused before minutes of reading
     settings, trips = _check_healthy(config), TripSettings()
     HealthySettings(config.n_healthy)  # raises if it is wrong
-    generator = check_generator(build(config, "generator"))
+    generator = commissioning.check_generator(build(config, "generator"))
     settings = settings.bound(generator.vehicle)
     chosen = {"paths": paths, "n_first": config.n_healthy, "progress": config.progress}
     healthy = read_healthy(Path(config.healthy), generator, settings, trips, **chosen)
@@ -143,8 +138,8 @@ def _commissioned(
             "without effect, as the sensors show each part: generator.parts=[%s]",
             ",".join(generator.parts),
         )
-    bogie = commission_parts(healthy, trips)
-    outcome = as_bogie(prior_of(generator, healthy), bogie)
+    bogie = commissioning.commission_parts(healthy, trips)
+    outcome = as_bogie(commissioning.prior_of(generator, healthy), bogie)
     with speaking(config.language):
         write_outcome(folder, healthy, outcome)
     usual = replace(outcome.generator, speed_m_per_s=median(healthy.speeds_m_per_s))
