@@ -10,18 +10,8 @@ from functools import partial
 from importlib import import_module
 from typing import Any, NamedTuple
 
+import flask
 import numpy as np
-from flask import (
-    Blueprint,
-    Response,
-    abort,
-    flash,
-    redirect,
-    render_template,
-    request,
-    session,
-    url_for,
-)
 from flask.typing import ResponseReturnValue
 from flask_wtf import FlaskForm
 from wtforms import HiddenField, StringField
@@ -49,7 +39,7 @@ N_TRIPS = 20  # number of the newest trips in the table of a suspension
 OUTPUTS = tuple(name for name in PARAMETERS if name != BODY_MASS)
 SHORT = {"leading": "lead.", "trailing": "trail."}  # short words of a place, for a tile
 
-pages = Blueprint("pages", __name__)
+pages = flask.Blueprint("pages", __name__)
 pages.before_request(identify_visitor)
 _drawing = threading.Lock()
 
@@ -117,16 +107,16 @@ def calendar() -> ResponseReturnValue:
     """Return the calendar of the plan."""
     plan = _view().plan
     if plan is None:
-        abort(404)
+        flask.abort(404)
     return _svg("calendar", plan)
 
 
 @pages.get("/suspension/<name>/trend.svg")
 def trend(name: str) -> ResponseReturnValue:
     """Return the figure of the parameters along the mileage, or `of` one of them."""
-    state, part = named_state(name), request.args.get("of", "")
+    state, part = named_state(name), flask.request.args.get("of", "")
     if part and part not in _figured(state):
-        abort(404)
+        flask.abort(404)
     return _svg("trend", state, part)
 
 
@@ -136,21 +126,21 @@ def responses(name: str) -> ResponseReturnValue:
     with opened_store() as store:
         stored = store.responses(*named_state(name).key)
     if not stored:
-        abort(404)
+        flask.abort(404)
     return _svg("responses", stored)
 
 
-def _svg(figure: str, *values: Any) -> Response:
+def _svg(figure: str, *values: Any) -> flask.Response:
     """Return a figure; one is drawn at a time, as those that wait may find theirs drawn by then."""
     with _drawing:
         draw = getattr(import_module("suspnet.depot.web.figures"), figure)
-        return Response(draw(*values, current()), mimetype="image/svg+xml")
+        return flask.Response(draw(*values, current()), mimetype="image/svg+xml")
 
 
 @pages.get("/suspension/<name>")
 def suspension(name: str) -> ResponseReturnValue:
     """Return the page of a suspension."""
-    form = AcknowledgementForm(formdata=None, by=visitor().name or session.get("by", ""))
+    form = AcknowledgementForm(formdata=None, by=visitor().name or flask.session.get("by", ""))
     return _suspension_page(name, form)
 
 
@@ -160,33 +150,33 @@ def acknowledge(name: str) -> ResponseReturnValue:
     state, form = named_state(name), AcknowledgementForm()
     if not visitor().is_engineer:
         words = gettext("%(name)s may look, but not acknowledge alarms: that is for engineers.")
-        abort(403, words % {"name": visitor().name})
+        flask.abort(403, words % {"name": visitor().name})
     if visitor().name:  # never the name that a form claims
         form.by.data = visitor().name
     if not form.validate_on_submit():
         return _suspension_page(name, form), 400
     chosen = [alarm for alarm in state.alarms if form.means(alarm)]
     if not chosen:
-        flash(
+        flask.flash(
             gettext("Nothing was acknowledged: this alarm is cleared, or worse than it was shown.")
         )
-        return redirect(_address(name))
+        return flask.redirect(_address(name))
     by, action = form.by.data.strip(), (form.words.data or "").strip()
     newest_km = float(np.nanmax(state.series.mileage_km))
     with opened_store(to_write=True) as store:
         acknowledge_alarms(store, *state.key, chosen, newest_km, by, action)
     current_refresher().soon()
-    session["by"] = by
+    flask.session["by"] = by
     alarms = ", ".join(f"{alarm.parameter} ({gettext(str(alarm.cause))})" for alarm in chosen)
     words = gettext("Acknowledged by %(name)s: %(alarms)s.")
-    flash(words % {"name": by, "alarms": alarms})
-    return redirect(_address(name))
+    flask.flash(words % {"name": by, "alarms": alarms})
+    return flask.redirect(_address(name))
 
 
 @pages.get("/state")
 def state() -> ResponseReturnValue:
     """Return the version of a page's state and when it was read; cheap, as pages poll it."""
-    view, name = _view(), request.args.get("of", "")
+    view, name = _view(), flask.request.args.get("of", "")
     version = _suspension_version(view, name) if name else _digest(view.at, view.version)
     return {"version": version, "words": spoken(current_refresher().words)}
 
@@ -208,7 +198,7 @@ def _suspension_page(name: str, form: AcknowledgementForm) -> str:
     newest = list(reversed(results[-N_TRIPS:]))
     mileages = state.series.mileage_km[np.isfinite(state.series.mileage_km)]
     # a figure of each part where parts are read; else of those with a finding, and one of all
-    figure = partial(url_for, "pages.trend", name=name, version=version, language=current())
+    figure = partial(flask.url_for, "pages.trend", name=name, version=version, language=current())
     return _page(
         "suspension_page.html",
         "" if form.errors else version,  # a filled form is never replaced
@@ -241,7 +231,7 @@ def _page(template: str, version: str, of: str = "", **values: Any) -> str:
     view = _view()
     trains = sorted({state.place.train for state in view.states} - {""}, key=natural)
     values |= {"view": view, "refresher": current_refresher(), "train_names": trains}
-    return render_template(template, version=version, of=of, **values)
+    return flask.render_template(template, version=version, of=of, **values)
 
 
 def message_page(title: str, words: str) -> str:
@@ -262,12 +252,12 @@ def _figured(state: State) -> list[str]:
 
 def _choice() -> Choice:
     """Return which suspensions the URL asks for; unknown values choose all."""
-    severity = request.args.get("severity", "")
-    return Choice(request.args.get("train", ""), severity if severity in MARKS else "")
+    severity = flask.request.args.get("severity", "")
+    return Choice(flask.request.args.get("train", ""), severity if severity in MARKS else "")
 
 
 def _address(name: str) -> str:
-    return url_for("pages.suspension", name=name)
+    return flask.url_for("pages.suspension", name=name)
 
 
 def _active_alarms(view: FleetView, chosen: Sequence[int]) -> list[dict[str, Any]]:
