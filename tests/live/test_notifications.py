@@ -440,7 +440,7 @@ def test_an_evaluation_sends_what_is_new_once(tmp_path, monkeypatch):
     from cli_runner import run_program  # here: killed programs import this module, and quickly
 
     from suspnet.cli import evaluate
-    from suspnet.trains.history import store as module
+    from suspnet.trains.history import database as module
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(evaluate, "write_maintenance", lambda *_: [])

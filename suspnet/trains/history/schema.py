@@ -17,20 +17,9 @@ import sqlalchemy as sql
 from sqlalchemy import Column, Double, Integer, LargeBinary, String, Table
 from sqlalchemy.engine import Connection, RowMapping
 
+from suspnet.ground import records
 from suspnet.ground.findings import Finding, restored, stored
 from suspnet.ground.parameters import ESTIMATED
-from suspnet.ground.records import (
-    NUMBERS,
-    PLACE,
-    PLACE_FROM_TRAIN,
-    QUALITY_TYPES,
-    TEXTS,
-    VALUES,
-    Key,
-    Place,
-    TripResult,
-    to_row,
-)
 from suspnet.trains.maintenance.alarms import Acknowledgement, Alarm
 from suspnet.trains.maintenance.series import Event
 
@@ -66,9 +55,9 @@ suspensions = Table(
     "suspensions",
     metadata,
     *_key(id=Integer),
-    *_needed(vehicle=String, **dict.fromkeys(PLACE_FROM_TRAIN, String)),
+    *_needed(vehicle=String, **dict.fromkeys(records.PLACE_FROM_TRAIN, String)),
     Column("revision", sql.BigInteger, nullable=False, server_default="0"),
-    sql.UniqueConstraint("vehicle", *PLACE_FROM_TRAIN),
+    sql.UniqueConstraint("vehicle", *records.PLACE_FROM_TRAIN),
 )
 """The revision grows with each transaction that changes data of the suspension."""
 
@@ -80,10 +69,14 @@ trips = Table(
     metadata,
     *_key(id=Integer),
     _suspension(nullable=False),
-    *(Column(name, Double) for name in NUMBERS),
-    *(Column(column.format(name), Double) for column in VALUES.values() for name in ESTIMATED),
-    *_needed(**dict.fromkeys(TEXTS, String)),
-    *(Column(name, QUALITY[kind]) for name, kind in QUALITY_TYPES.items()),
+    *(Column(name, Double) for name in records.NUMBERS),
+    *(
+        Column(column.format(name), Double)
+        for column in records.VALUES.values()
+        for name in ESTIMATED
+    ),
+    *_needed(**dict.fromkeys(records.TEXTS, String)),
+    *(Column(name, QUALITY[kind]) for name, kind in records.QUALITY_TYPES.items()),
     Column("key", LargeBinary(16), nullable=False),
     sql.UniqueConstraint("suspension_id", "key"),
 )
@@ -156,14 +149,14 @@ class BadRow:
     table: str
     row: str
     why: str
-    key: Key | None = None
+    key: records.Key | None = None
 
     def __str__(self) -> str:
         of = "" if self.key is None else f" of {self.key[0]}: {self.key[1]}"
         return Finding("bad-row", table=self.table, row=self.row, of=of, why=self.why)
 
 
-def bad_row(table: Table, row: RowMapping, error: object, key: Key | None = None) -> BadRow:
+def bad_row(table: Table, row: RowMapping, error: object, key: records.Key | None = None) -> BadRow:
     """Return the description of a row that `error` makes unreadable."""
     names = [column.name for column in table.primary_key.columns if column.name in row]
     words = ", ".join(f"{name}={str(row[name])[:40]}" for name in names)
@@ -190,21 +183,21 @@ def check_types(table: sql.Table, row: RowMapping) -> None:
             raise ValueError(Finding("bad-value", name=name, value=repr(str(value)[:40])))
 
 
-def trip_key(result: TripResult) -> bytes:
+def trip_key(result: records.TripResult) -> bytes:
     """Return the key of a trip within its suspension, a hash of 16 bytes."""
     content = [result.trip, result.start, repr(float(result.mileage_km))]
     return hashlib.sha256(json.dumps(content).encode()).digest()[:16]
 
 
-def undated_key(result: TripResult) -> bytes:
+def undated_key(result: records.TripResult) -> bytes:
     """Return the key that the trip has if its start is unknown."""
     return trip_key(replace(result, start=""))
 
 
-def row_of(suspension: int, result: TripResult) -> dict[str, Any]:
+def row_of(suspension: int, result: records.TripResult) -> dict[str, Any]:
     """Return a trip as a row of the table."""
-    row = {name: or_null(value) for name, value in to_row(result).items()}
-    for name in ("vehicle", *PLACE):
+    row = {name: or_null(value) for name, value in records.to_row(result).items()}
+    for name in ("vehicle", *records.PLACE):
         del row[name]  # columns of the suspensions
     return row | {"suspension_id": suspension, "key": trip_key(result)}
 
@@ -214,10 +207,10 @@ def or_null(value: Any) -> Any:
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
-def key_of(row: RowMapping) -> Key:
+def key_of(row: RowMapping) -> records.Key:
     """Return vehicle and place of a suspension's row; ValueError if a value has a wrong type."""
     check_types(suspensions, row)
-    return row["vehicle"], Place(**{name: row[name] for name in PLACE})
+    return row["vehicle"], records.Place(**{name: row[name] for name in records.PLACE})
 
 
 Stored = TypeVar("Stored", Event, Alarm, Acknowledgement)
@@ -227,7 +220,7 @@ TABLES: dict[type, sql.Table] = {Event: events, Alarm: alarms, Acknowledgement: 
 
 def known_suspensions(
     connection: Connection, where: Condition | None = None, bad: list[BadRow] | None = None
-) -> dict[int, tuple[Key, int]]:
+) -> dict[int, tuple[records.Key, int]]:
     """Return key and revision of each suspension, or of those selected by `where`, by number.
 
     Unreadable rows are left out and appended to `bad`.
@@ -252,7 +245,7 @@ def is_one_of(column: sql.Column[int], ids: Iterable[int]) -> Condition:
     return column.in_(wanted)
 
 
-def is_of(vehicle: str, place: Place) -> Condition:
+def is_of(vehicle: str, place: records.Place) -> Condition:
     """Return the condition that selects a suspension."""
     wanted = asdict(place) | {"vehicle": vehicle}
     return sql.and_(*(suspensions.c[name] == value for name, value in wanted.items()))
@@ -260,21 +253,21 @@ def is_of(vehicle: str, place: Place) -> Condition:
 
 def read_stored(
     connection: Connection, kind: type[Stored], bad: list[BadRow], where: Condition | None = None
-) -> dict[Key, list[Stored]]:
+) -> dict[records.Key, list[Stored]]:
     """Return the objects of one class of each suspension, or of those selected by `where`.
 
     They are sorted by the primary key of the table. Unreadable rows are left out and appended to
     `bad`.
     """
     table, names = TABLES[kind], [field.name for field in fields(kind)]
-    places = (suspensions.c[name] for name in ("vehicle", *PLACE))
+    places = (suspensions.c[name] for name in ("vehicle", *records.PLACE))
     chosen = (
         sql.select(*places, *(table.c[name] for name in names))
         .join_from(table, suspensions)
         .where(sql.true() if where is None else where)
         .order_by(*table.primary_key.columns)
     )
-    of_key: dict[Key, list[Stored]] = {}
+    of_key: dict[records.Key, list[Stored]] = {}
     for row in connection.execute(chosen).mappings():
         try:
             key = key_of(row)

@@ -14,25 +14,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from suspnet.ground.findings import at
 from suspnet.ground.records import MOST_NAME, OK, Commissioning, Key, Place, TripResult, from_row
-from suspnet.trains.history.arrays import (
-    TripResponses,
-    comparable,
-    read_responses,
-    read_series,
-    write_curves,
-)
-from suspnet.trains.history.database import (
-    DAMAGED,
-    WAIT_S,
-    HistoryError,
-    connect,
-    database_url,
-    error_of,
-    has_tables,
-    prepare,
-    reading,
-    upsert,
-)
+from suspnet.trains.history import arrays, database
 from suspnet.trains.history.outbox import Outbox
 from suspnet.trains.history.schema import (
     TABLES,
@@ -78,19 +60,19 @@ class History(AbstractContextManager["History"]):
     """
 
     def __init__(
-        self, place: str | Path, *, wait_s: float = WAIT_S, must_exist: bool = False
+        self, place: str | Path, *, wait_s: float = database.WAIT_S, must_exist: bool = False
     ) -> None:
         self.bad_rows: list[BadRow] = []
-        self._url = database_url(place)
-        self._engine = connect(self._url, wait_s, must_exist=must_exist)
+        self._url = database.database_url(place)
+        self._engine = database.connect(self._url, wait_s, must_exist=must_exist)
         try:
             with self._reading() as connection:
-                is_empty = not has_tables(connection, str(self))
+                is_empty = not database.has_tables(connection, str(self))
             if is_empty:
                 if must_exist:
-                    raise HistoryError(at(self, "store-empty"))
+                    raise database.HistoryError(at(self, "store-empty"))
                 with self._writing() as connection:
-                    prepare(connection, str(self))
+                    database.prepare(connection, str(self))
         except BaseException:
             self.close()
             raise
@@ -118,7 +100,9 @@ class History(AbstractContextManager["History"]):
             with self._reading() as connection:
                 words = connection.exec_driver_sql("PRAGMA quick_check(1)").scalar()
             if words != "ok":
-                raise HistoryError(DAMAGED.format(name=self, words=" ".join(str(words).split())))
+                raise database.HistoryError(
+                    database.DAMAGED.format(name=self, words=" ".join(str(words).split()))
+                )
 
     def places(self) -> list[Key]:
         """Return vehicle and place of each suspension, sorted."""
@@ -152,12 +136,12 @@ class History(AbstractContextManager["History"]):
                 is_of_suspension = trips.c.suspension_id == sql.bindparam("of")
                 gone = trips.delete().where(is_of_suspension, trips.c.key == sql.bindparam("gone"))
                 connection.execute(gone, sorted(undated, key=lambda row: (row["of"], row["gone"])))
-            upsert(connection, trips, rows)
+            database.upsert(connection, trips, rows)
             of_each: dict[int, dict[bytes, TripResult]] = {}
             for row, result in zip(rows, results, strict=True):
                 of_each.setdefault(row["suspension_id"], {})[row["key"]] = result
             for number, of_suspension in of_each.items():
-                write_curves(connection, number, of_suspension)
+                arrays.write_curves(connection, number, of_suspension)
 
     def read(self, vehicle: str, place: Place) -> list[TripResult]:
         """Return the trips of a suspension by mileage; empty if there are none."""
@@ -188,7 +172,9 @@ class History(AbstractContextManager["History"]):
         suspensions; unknown ones are left out.
         """
         with self._reading() as connection:
-            return read_series(connection, self.bad_rows, None if keys is None else set(keys))
+            return arrays.read_series(
+                connection, self.bad_rows, None if keys is None else set(keys)
+            )
 
     def comparable(
         self,
@@ -204,14 +190,14 @@ class History(AbstractContextManager["History"]):
         `results`, which have just been stored. If one of these has no start, others of its name and
         mileage are the same trip and left out.
         """
-        fitting, others = comparable(references, results)
+        fitting, others = arrays.comparable(references, results)
         counted = sql.select(sql.func.count(trips.c.id)).join(suspensions)
         count = counted.where(is_of(vehicle, place), others)
         with self._reading() as connection:
-            several = read_series(connection, self.bad_rows, {(vehicle, place)}, fitting)
+            several = arrays.read_series(connection, self.bad_rows, {(vehicle, place)}, fitting)
             return next(iter(several), None), int(connection.execute(count).scalar_one())
 
-    def responses(self, vehicle: str, place: Place) -> list[TripResponses]:
+    def responses(self, vehicle: str, place: Place) -> list[arrays.TripResponses]:
         """Return the stored transfer functions of a suspension by mileage.
 
         They are those of the first trip that had any, and of the newest trips. HistoryError is also
@@ -219,7 +205,7 @@ class History(AbstractContextManager["History"]):
         """
         where = is_of(vehicle, place)
         with self._reading() as connection:
-            return read_responses(connection, where, f"{self}: {vehicle}: {place}")
+            return arrays.read_responses(connection, where, f"{self}: {vehicle}: {place}")
 
     def add_event(self, vehicle: str, place: Place, event: Event) -> None:
         """Store a maintenance event; the text of an existing one is replaced."""
@@ -248,7 +234,7 @@ class History(AbstractContextManager["History"]):
             changed = [n for n, new in rows.items() if _by_key(new) != _by_key(before[n])]
             _raise_revisions(connection, changed)
             connection.execute(alarms.delete().where(is_one_of(alarms.c.suspension_id, changed)))
-            upsert(connection, alarms, [row for number in changed for row in rows[number]])
+            database.upsert(connection, alarms, [row for number in changed for row in rows[number]])
 
     def alarms(self, vehicle: str, place: Place) -> list[Alarm]:
         """Return the alarms of a suspension, active or cleared, by the mileage where they start."""
@@ -282,7 +268,7 @@ class History(AbstractContextManager["History"]):
             _raise_revisions(connection, [number])
             if entries:
                 rows = [row_of_stored(number, entry) for entry in entries]
-                upsert(connection, TABLES[type(entries[0])], rows)
+                database.upsert(connection, TABLES[type(entries[0])], rows)
 
     def _numbers(self, connection: Connection, keys: Iterable[Key]) -> dict[Key, int]:
         """Return the number of each suspension; HistoryError if one is unknown."""
@@ -290,7 +276,7 @@ class History(AbstractContextManager["History"]):
         names = sorted(f"{vehicle}: {place}" for vehicle, place in numbers) or ["none"]
         for vehicle, place in (wanted := list(keys)):
             if (vehicle, place) not in numbers:
-                raise HistoryError(
+                raise database.HistoryError(
                     f"{self}: no trip of {vehicle}: {place} is stored here; known: "
                     f"{'; '.join(names)}"
                 )
@@ -299,7 +285,7 @@ class History(AbstractContextManager["History"]):
     @contextmanager
     def _reading(self) -> Iterator[Connection]:
         """Yield a connection that sees one snapshot of the store and blocks no writer."""
-        with self._transaction(reading(self._engine)) as connection:
+        with self._transaction(database.reading(self._engine)) as connection:
             yield connection
         self.bad_rows[:] = dict.fromkeys(self.bad_rows)  # a program that polls finds them often
         log_once(str(self), self.bad_rows)
@@ -314,7 +300,7 @@ class History(AbstractContextManager["History"]):
             with engine.begin() as connection:
                 yield connection
         except (SQLAlchemyError, UnicodeDecodeError) as error:  # damaged names of tables
-            raise error_of(error, str(self)) from None
+            raise database.error_of(error, str(self)) from None
 
 
 def _add_suspensions(connection: Connection, keys: Iterable[Key]) -> dict[Key, int]:
@@ -325,7 +311,9 @@ def _add_suspensions(connection: Connection, keys: Iterable[Key]) -> dict[Key, i
             raise ValueError(
                 f"a name must have at most {MOST_NAME} characters, got {name[:20]!r}..."
             )
-    upsert(connection, suspensions, [{"vehicle": name} | asdict(place) for name, place in wanted])
+    database.upsert(
+        connection, suspensions, [{"vehicle": name} | asdict(place) for name, place in wanted]
+    )
     chosen = {key: sql.select(suspensions.c.id).where(is_of(*key)) for key in wanted}
     return {key: int(connection.execute(query).scalar_one()) for key, query in chosen.items()}
 
