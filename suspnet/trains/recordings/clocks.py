@@ -15,16 +15,8 @@ from numpy.typing import NDArray
 
 from suspnet.ground.findings import Finding, together
 from suspnet.ground.types import BoolArray, FloatArray
+from suspnet.trains.recordings import dates
 from suspnet.trains.recordings.columns import Column, size_of
-from suspnet.trains.recordings.dates import (
-    EPOCH,
-    NO_DATE,
-    SECOND_NS,
-    ahead_ns,
-    date_problem,
-    nanoseconds,
-    time_zone,
-)
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.manifest import TripManifest
 from suspnet.trains.recordings.manifest_sources import TIME_UNITS, FileSource
@@ -59,7 +51,7 @@ class Zero:
         """Start of the times; without a zone if that is unknown."""
         if self.ns is None:
             return self.date
-        start = EPOCH + timedelta(seconds=self.ns // SECOND_NS)
+        start = dates.EPOCH + timedelta(seconds=self.ns // dates.SECOND_NS)
         return start if self.is_zoned else start.replace(tzinfo=None)
 
 
@@ -107,7 +99,7 @@ class Times:
             (self._begin_stamps if is_stamp else self._begin_numbers)(times)
         raw = self._continued(raw, missing, is_stamp)
         if is_stamp:
-            elapsed = (raw - int(self._first)).astype(np.float64) / SECOND_NS
+            elapsed = (raw - int(self._first)).astype(np.float64) / dates.SECOND_NS
             elapsed[missing] = np.nan
             return np.asarray(elapsed)
         return np.asarray((raw.astype(np.float64) - self._first) * self._size)
@@ -120,7 +112,7 @@ class Times:
         self._last = present[-1]
         if self._usual is None:
             self._usual = float(np.median(steps[1:])) if len(steps) > LEAST_STEPS else 0.0
-        hour = 3600 * SECOND_NS if is_stamp else np.inf
+        hour = 3600 * dates.SECOND_NS if is_stamp else np.inf
         jumps = np.flatnonzero((steps < 0) | (steps > hour / 2))
         if self._usual <= 0 or not len(jumps):
             return raw + self._shift if self._shift else raw
@@ -146,7 +138,7 @@ class Times:
             counters = {f"2^{bits}": 2.0**bits for bits in (16, 24, 31, 32)}
             counters |= {f"2^32 {unit}": 2.0**32 * s / self._size for unit, s in TIME_UNITS.items()}
             return [*counters.items(), ("a day", 86400 / self._size)]
-        hour = 3600 * SECOND_NS
+        hour = 3600 * dates.SECOND_NS
         if self.zero.is_midnight:  # stamps of minutes and seconds start again every hour
             return [("a day", 24 * hour), ("an hour", hour)]
         # local clocks are changed in autumn and spring
@@ -156,13 +148,13 @@ class Times:
         seconds = times[~np.isnat(times)].astype("datetime64[s]")
         if not len(seconds):
             raise TripError.at(self.where, "times-empty")
-        first = int(seconds[0].astype(np.int64)) * SECOND_NS
+        first = int(seconds[0].astype(np.int64)) * dates.SECOND_NS
         self._first = first
         zone = self.source.time_zone
-        if seconds[0].astype("datetime64[D]") == NO_DATE:
+        if seconds[0].astype("datetime64[D]") == dates.NO_DATE:
             if zone is not None:
                 raise TripError.at(self.where, "no-date-for-zone")
-            self._first = int(NO_DATE.astype("datetime64[ns]").astype(np.int64))
+            self._first = int(dates.NO_DATE.astype("datetime64[ns]").astype(np.int64))
             self.zero = Zero(is_midnight=True)
         elif zone is None:
             self.zero = Zero(first, self.column.is_zoned)
@@ -172,9 +164,9 @@ class Times:
             self.zero = Zero(first - self._offset_ns(first, zone))
 
     def _offset_ns(self, first: int, zone: str) -> int:
-        early, late = (ahead_ns(first, time_zone(zone), fold) for fold in (0, 1))
+        early, late = (dates.ahead_ns(first, dates.time_zone(zone), fold) for fold in (0, 1))
         if early != late:
-            naive = (EPOCH + timedelta(seconds=first // SECOND_NS)).replace(tzinfo=None)
+            naive = (dates.EPOCH + timedelta(seconds=first // dates.SECOND_NS)).replace(tzinfo=None)
             raise TripError.at(self.where, "ambiguous-time", naive=naive, zone=zone)
         return early
 
@@ -207,7 +199,7 @@ class Times:
             self._first = whole_s / self._size
             if self._size < 1:  # then its inverse is exact
                 self._first = float(whole_s * round(1 / self._size))
-            self.zero = Zero(whole_s * SECOND_NS)
+            self.zero = Zero(whole_s * dates.SECOND_NS)
         if self.source.time_zone is not None:
             if self.zero.ns is None or self.zero.is_zoned:
                 raise TripError.at(self.where, "zone-for-numbers")
@@ -225,7 +217,7 @@ def first_moment(zeros: Iterable[Zero]) -> tuple[datetime | None, str]:
     if not dated:
         return None, ""
     *_, first = min(dated)
-    if problem := date_problem(first):
+    if problem := dates.date_problem(first):
         return None, Finding("date-left-out", time=first.isoformat(" "), problem=problem)
     return first, ""
 
@@ -245,14 +237,14 @@ def offsets_s(manifest: TripManifest, zeros: Mapping[str, Zero]) -> dict[str, fl
     earliest, latest = min(starts.values()), max(starts.values())
     if others and latest - earliest <= SAME_NS and all(zeros[name].is_stated for name in starts):
         return dict.fromkeys(zeros, 0.0)
-    first, is_zoned, midnight_s = earliest // SECOND_NS * SECOND_NS, None, 0.0
+    first, is_zoned, midnight_s = earliest // dates.SECOND_NS * dates.SECOND_NS, None, 0.0
     if others:
         start = manifest.start
         if start is None:
             missing = together(others, ", ")
             names = {"starts": together(starts, ", "), "others": missing, "others2": missing}
             raise TripError.at(manifest.path, "start-missing", **names)
-        first, is_zoned = nanoseconds(start), start.tzinfo is not None
+        first, is_zoned = dates.nanoseconds(start), start.tzinfo is not None
         # times of day count from the midnight before it
         midnight = start.replace(hour=0, minute=0, second=0, microsecond=0)
         midnight_s = (midnight - start).total_seconds()
@@ -263,4 +255,4 @@ def offsets_s(manifest: TripManifest, zeros: Mapping[str, Zero]) -> dict[str, fl
     if not local and is_zoned is False:
         raise TripError.at(manifest.path, "start-without-zone", starts=together(starts, ", "))
     undated = {name: midnight_s if zeros[name].is_midnight else 0.0 for name in others}
-    return undated | {name: (ns - first) / SECOND_NS for name, ns in starts.items()}
+    return undated | {name: (ns - first) / dates.SECOND_NS for name, ns in starts.items()}

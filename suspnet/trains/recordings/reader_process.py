@@ -29,15 +29,7 @@ import numpy as np
 
 from suspnet.ground.findings import Finding, at, restored, together
 from suspnet.ground.storage import open_plain, stored_bytes
-from suspnet.trains.recordings.columns import (
-    MOST_BLOCK_BYTES,
-    Block,
-    Column,
-    OpenFile,
-    Reader,
-    memory_bytes,
-    step_s,
-)
+from suspnet.trains.recordings import columns
 from suspnet.trains.recordings.errors import TripError
 
 log = logging.getLogger(__name__)
@@ -58,7 +50,7 @@ ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1", "NUMEXPR_NUM_THREADS": "1", "HDF5_PL
 SERVER_CODE = "from suspnet.trains.recordings.reader_server import serve; serve()"
 
 
-def in_own_process(reader: Reader, library: str | None = None) -> Reader:
+def in_own_process(reader: columns.Reader, library: str | None = None) -> columns.Reader:
     """Return a reader that runs `reader`, an importable function, in a separate process.
 
     The server imports `library` in advance. Opening and reading raise TripError if the process
@@ -67,7 +59,7 @@ def in_own_process(reader: Reader, library: str | None = None) -> Reader:
 
     @contextmanager
     @functools.wraps(reader)
-    def opened(path: Path) -> Iterator[OpenFile]:
+    def opened(path: Path) -> Iterator[columns.OpenFile]:
         process = _Process(path, [reader.__module__, reader.__name__], library)
         try:
             description, _ = process.ask({"open": True})
@@ -75,7 +67,7 @@ def in_own_process(reader: Reader, library: str | None = None) -> Reader:
                 _warn_once(together(description["missing"]))
             numbers = itertools.count()  # several blocks of one file may be read by turns
 
-            def read(names: Sequence[str]) -> Iterator[Block]:
+            def read(names: Sequence[str]) -> Iterator[columns.Block]:
                 number = next(numbers)
                 while True:  # ends with the columns of the file
                     _, block = process.ask({"block": number, "names": list(names)})
@@ -83,9 +75,9 @@ def in_own_process(reader: Reader, library: str | None = None) -> Reader:
                         return
                     yield block
 
-            yield OpenFile(
+            yield columns.OpenFile(
                 columns=tuple(
-                    Column(**column | {"unread": restored(column["unread"])})
+                    columns.Column(**column | {"unread": restored(column["unread"])})
                     for column in description["columns"]
                 ),
                 read=read,
@@ -175,12 +167,12 @@ class _Process:
                 "folder": os.getcwd(),
                 "function": list(function),
                 "library": library,
-                "memory_bytes": memory_bytes(n_bytes),
+                "memory_bytes": columns.memory_bytes(n_bytes),
             }
             self._pid = _started(request, [stream.fileno(), theirs.fileno()])
             self._requests, self._answers = ours.makefile("wb"), ours.makefile("rb")
 
-    def ask(self, request: dict[str, Any]) -> tuple[dict[str, Any], Block]:
+    def ask(self, request: dict[str, Any]) -> tuple[dict[str, Any], columns.Block]:
         """Return the answer of the process: values and arrays.
 
         Raises the reader's TripError, or one if the process crashes or is late, which ends it;
@@ -206,12 +198,12 @@ class _Process:
             raise ValueError(answer["error"])
         return answer, arrays
 
-    def _exchange(self, request: dict[str, Any]) -> tuple[dict[str, Any], Block]:
+    def _exchange(self, request: dict[str, Any]) -> tuple[dict[str, Any], columns.Block]:
         self._requests.write(json.dumps(request).encode() + b"\n")
         self._requests.flush()
         answer = json.loads(self._answers.readline())
         # a reader is not trusted: it must not make this process take more memory than a block
-        if 8 * sum(abs(n_samples) for _, n_samples in answer["arrays"]) > MOST_BLOCK_BYTES:
+        if 8 * sum(abs(n_samples) for _, n_samples in answer["arrays"]) > columns.MOST_BLOCK_BYTES:
             raise ValueError
         arrays = []
         for dtype, n_samples in answer["arrays"]:
@@ -258,7 +250,7 @@ def _state(path: Path) -> tuple[str, int, int]:
 def _limit_s(n_bytes: int) -> float:
     text = os.environ.get(LIMIT, "")
     if not text:
-        return step_s(n_bytes)
+        return columns.step_s(n_bytes)
     with suppress(ValueError):
         if 0 < float(text) <= threading.TIMEOUT_MAX:
             return float(text)

@@ -7,18 +7,12 @@ from itertools import pairwise
 import numpy as np
 
 from suspnet.ground.types import BoolArray, FloatArray
+from suspnet.trains.recordings import sources
 from suspnet.trains.recordings.cleaning import Fault, paint, runs
 from suspnet.trains.recordings.clocks import Zero
 from suspnet.trains.recordings.errors import TripError
 from suspnet.trains.recordings.manifest import TripManifest
 from suspnet.trains.recordings.manifest_sources import SpeedSource
-from suspnet.trains.recordings.sources import (
-    GAP_STEPS,
-    OpenSource,
-    check_rate,
-    check_rising,
-    open_source,
-)
 
 LARGEST_SPEED_M_PER_S = 150.0  # largest speed of a train [m/s]; a larger value counts as unknown
 LONGEST_SPEED_GAP_S = 10.0
@@ -70,7 +64,7 @@ def read_speed(manifest: TripManifest) -> SpeedTrack | None:
             raise TripError.at(manifest.path, "speed-too-high", source=source, source2=source)
         return None
     where = manifest.where("speed")
-    with open_source(manifest, source, where) as file:
+    with sources.open_source(manifest, source, where) as file:
         parts = list(_thinned(_timed(file, where)))
         seconds, speeds = (np.concatenate(part) for part in zip(*parts, strict=True))
         track = speed_track(seconds, file.size * speeds, source.start_s, file.rate_hz)
@@ -187,7 +181,7 @@ def _impossible(known_s: FloatArray, speeds: FloatArray) -> BoolArray:
 def _lost_rows(known_s: FloatArray, inside: BoolArray, step_s: float) -> Iterator[Fault]:
     """Yield the faults of missing rows: short gaps, which are interpolated, and longer ones."""
     steps = np.diff(known_s)
-    lost = (steps > GAP_STEPS * step_s) & inside[:-1] & inside[1:]
+    lost = (steps > sources.GAP_STEPS * step_s) & inside[:-1] & inside[1:]
     short = steps <= LONGEST_SPEED_GAP_S
     for repaired, mask in ((True, lost & short), (False, lost & ~short)):
         if mask.any():
@@ -196,16 +190,16 @@ def _lost_rows(known_s: FloatArray, inside: BoolArray, step_s: float) -> Iterato
             yield Fault("speed", "gap", n_samples, n_samples * step_s, first_s, repaired)
 
 
-def _timed(file: OpenSource, where: str) -> Iterator[Timed]:
+def _timed(file: sources.OpenSource, where: str) -> Iterator[Timed]:
     """Yield times [s] and speeds; TripError if times do not rise or contradict the rate."""
     last_s: float | None = None
     n_before = 0
     for *times, speeds in file.blocks():
         if times:
             (seconds,) = times
-            check_rising(where, seconds, last_s)
+            sources.check_rising(where, seconds, last_s)
             if last_s is None and len(seconds) > 1:
-                check_rate(where, file.rate_hz, 1 / float(np.median(np.diff(seconds))))
+                sources.check_rate(where, file.rate_hz, 1 / float(np.median(np.diff(seconds))))
             last_s = float(seconds[-1])
         else:
             assert file.rate_hz is not None  # it has times or a rate
