@@ -15,14 +15,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from suspnet.ground.storage import (
-    MOST_BYTES,
-    content_hash,
-    dump_arrays,
-    load_arrays,
-    read_plain,
-    write_atomically,
-)
+from suspnet.ground import storage
 
 log = logging.getLogger(__name__)
 
@@ -42,11 +35,11 @@ class Cache:
         """Return arrays and notes made from a JSON-able description; None if they are missing."""
         path = self.path(made_from)
         try:
-            checksum, _, content = read_plain(path, MOST_BYTES).partition(b"\n")
+            checksum, _, content = storage.read_plain(path, storage.MOST_BYTES).partition(b"\n")
             if checksum != _checksum(made_from, content):
                 raise ValueError(f"{path} does not match its checksum")
             notes, _, arrays = content.partition(b"\n")
-            return load_arrays(arrays, str(path)), json.loads(notes)
+            return storage.load_arrays(arrays, str(path)), json.loads(notes)
         except FileNotFoundError:
             return None
         except (ValueError, RecursionError, MemoryError) as error:
@@ -57,15 +50,17 @@ class Cache:
 
     def write(self, made_from: Any, arrays: Mapping[str, NDArray[Any]], notes: Any) -> None:
         """Store arrays and JSON-able notes that were made from a JSON-able description."""
-        content = json.dumps(notes).encode() + b"\n" + dump_arrays(arrays)
+        content = json.dumps(notes).encode() + b"\n" + storage.dump_arrays(arrays)
         try:
-            write_atomically(self.path(made_from), _checksum(made_from, content) + b"\n" + content)
+            storage.write_atomically(
+                self.path(made_from), _checksum(made_from, content) + b"\n" + content
+            )
         except OSError as error:
             _warn_once(str(self.folder), "written", str(error.strerror or error))
 
     def path(self, made_from: Any) -> Path:
         """Return the path of the file for a description."""
-        return self.folder / f"{content_hash(made_from)[:32]}.cache"
+        return self.folder / f"{storage.content_hash(made_from)[:32]}.cache"
 
 
 @functools.cache
@@ -80,7 +75,7 @@ def code_hash() -> str:
 
 def _checksum(made_from: Any, content: bytes) -> bytes:
     """Return the SHA-256 of a description and what was made from it, in hexadecimal digits."""
-    digest = hashlib.sha256(content_hash(made_from).encode() + content)
+    digest = hashlib.sha256(storage.content_hash(made_from).encode() + content)
     return digest.hexdigest().encode()
 
 

@@ -37,13 +37,8 @@ from suspnet.trains.recordings.manifest import CHANNELS, RecordManifest, TripMan
 from suspnet.trains.recordings.manifest_files import ManifestFile
 from suspnet.trains.recordings.manifest_sources import channel_of
 from suspnet.trains.recordings.recording import Recording, load_recording
+from suspnet.trains.spectra import steady_parts
 from suspnet.trains.spectra.segments import recording_segments, segment_speeds
-from suspnet.trains.spectra.steady_parts import (
-    groups_to_read,
-    minutes_words,
-    readable_words,
-    steady,
-)
 from suspnet.trains.trips.commissionings import models_at, models_of
 from suspnet.trains.trips.sensor_checks import NO_DIRECTION, ShownParts, check_bogie, check_sensors
 from suspnet.trains.trips.trip import evaluate_recording
@@ -270,7 +265,7 @@ def _read(result: TripCheck, recording: Recording, settings: CheckSettings) -> T
     manifest = recording.manifest
     try:
         models = models_of(settings.models, manifest.place)
-        words = readable_words(models_at(models, manifest.mileage_km))
+        words = steady_parts.readable_words(models_at(models, manifest.mileage_km))
     except ValueError as error:
         return _with_problems(result, [str(error)])
     outcome = evaluate_recording(manifest, lambda: recording, models, settings.trips)
@@ -300,10 +295,10 @@ def _at_steady_speeds(
     speeds = segment_speeds(recording, segments)
     tolerance, least = settings.speed_tolerance, settings.min_speed_m_per_s
     # group, average and judge as the evaluation does, so that both agree on what is enough
-    groups = groups_to_read(speeds, tolerance, least, at_any_speed=at_any_speed)
+    groups = steady_parts.groups_to_read(speeds, tolerance, least, at_any_speed=at_any_speed)
     seen = [
         part
-        for part in steady(segments, speeds, groups, estimate, settings)
+        for part in steady_parts.steady(segments, speeds, groups, estimate, settings)
         if part.spectra is not None
     ]
     enough = [part for part in seen if part.has_enough]
@@ -326,7 +321,7 @@ def _at_steady_speeds(
         remark = Finding(
             "too-little-at" if most else "too-little-steady",
             m_per_s=most.speed[0] if most else None,
-            minutes=minutes_words(segments.welch, n_most, settings.min_averages),
+            minutes=steady_parts.minutes_words(segments.welch, n_most, settings.min_averages),
             tolerance=100 * tolerance,
             least=least,
         )

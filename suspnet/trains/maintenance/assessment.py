@@ -10,16 +10,9 @@ from scipy.special import stdtr
 from suspnet.ground.findings import Finding, kind_is, percent, together
 from suspnet.ground.parameters import BODY_MASS, Cause, Limits, Severity
 from suspnet.ground.types import FloatArray
+from suspnet.trains.maintenance import judge
 from suspnet.trains.maintenance.alarms import Alarm
 from suspnet.trains.maintenance.change import Changes
-from suspnet.trains.maintenance.judge import (
-    N_CONFIRMING,
-    Judged,
-    LastTrips,
-    beyond_words,
-    judge_last,
-    level_words,
-)
 from suspnet.trains.maintenance.life import Life
 from suspnet.trains.maintenance.noise import robust_spread
 from suspnet.trains.maintenance.series import N_LAST, Series
@@ -147,7 +140,7 @@ class Evidence:
     """
 
     trend: ParameterTrend
-    last: LastTrips
+    last: judge.LastTrips
     limits: Limits | None
     alarms: Sequence[Alarm] = ()
     lasting: str = ""
@@ -167,7 +160,7 @@ def assess(of: Evidence) -> Assessment:
     Its severity is the worst of the last trips' (``judge_last``) and of the active alarms'. A doubt
     about a parameter with limits makes it unknown at least.
     """
-    by_limits, words = judge_last(of.last, of.limits)[0], _words(of)
+    by_limits, words = judge.judge_last(of.last, of.limits)[0], _words(of)
     least = Severity.UNKNOWN if of.doubt and of.limits is not None else Severity.NONE
     severity = max(least, by_limits, *(alarm.severity for alarm in of.alarms))
     # an alarm that the last trips alone do not explain comes first
@@ -233,7 +226,7 @@ def overall(assessments: Sequence[Assessment]) -> tuple[Severity, str]:
 
 def _words(of: Evidence) -> str:
     """Return the reason from the trips alone, without alarms."""
-    severity, judged = judge_last(of.last, of.limits)
+    severity, judged = judge.judge_last(of.last, of.limits)
     if len(of.last.values) == 0:
         return "no trip with an estimate"
     if of.limits is None or judged is None:
@@ -261,20 +254,20 @@ def _words(of: Evidence) -> str:
     return Finding("inspect-first", words=words) if is_doubtful and flags else words
 
 
-def _level(judged: Judged, last: LastTrips, limits: Limits) -> str:
+def _level(judged: judge.Judged, last: judge.LastTrips, limits: Limits) -> str:
     """Return the level of the last trips as text, for a severity above none."""
     side, run, count = (int(number) for number in (judged.side, judged.run, judged.count))
     severity, n_last = Severity(int(judged.severity)), len(last.values)
     limit = (limits.act if severity == Severity.ACT else limits.notice)[(side + 1) // 2]
-    beyond = beyond_words(side, severity, limit)
-    newest = level_words(last.values[-1], limit)
+    beyond = judge.beyond_words(side, severity, limit)
+    newest = judge.level_words(last.values[-1], limit)
     of_healthy = Finding("last-trip-of-healthy", level=newest)
     # several of the last trips, not all of them the newest
-    if count >= N_CONFIRMING and run < count and severity != Severity.UNKNOWN:
+    if count >= judge.N_CONFIRMING and run < count and severity != Severity.UNKNOWN:
         trips = {"count": count, "n_last": n_last, "beyond": beyond}
         if run:
             return together((of_healthy, Finding("trips-beyond", **trips)))
-        out = level_words(np.median(last.values[side * (last.values - limit) > 0]), limit)
+        out = judge.level_words(np.median(last.values[side * (last.values - limit) > 0]), limit)
         several = Finding("trips-level-beyond", level=out, **trips)
         return together((several, Finding("last-trip-level", level=newest)))
     # the newest trips in a row, and what makes them uncertain
@@ -291,7 +284,7 @@ def _level(judged: Judged, last: LastTrips, limits: Limits) -> str:
     return words
 
 
-def _development(of: Evidence, judged: Judged, limits: Limits) -> list[str]:
+def _development(of: Evidence, judged: judge.Judged, limits: Limits) -> list[str]:
     """Return how the parameter reached its level, for a severity above none."""
     trend, side = of.trend, int(judged.side)
     if of.lasting:
@@ -302,7 +295,7 @@ def _development(of: Evidence, judged: Judged, limits: Limits) -> list[str]:
         return [Finding("first-trips", n=trend.n_ends, percent=100 * trend.first_median)]
     if of.is_short or judged.severity == Severity.UNKNOWN:
         return []
-    if judged.run and judged.count < N_CONFIRMING:
+    if judged.run and judged.count < judge.N_CONFIRMING:
         return [Finding("too-few-lasting")]
     return [Finding("not-clear", percent=_percent(trend.spread_percent))]
 

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray, IntArray
+from suspnet.trains.maintenance import noise
 from suspnet.trains.maintenance.degradation import (
     DIFFUSIONS,
     EXPONENTIAL,
@@ -24,18 +25,10 @@ from suspnet.trains.maintenance.degradation import (
     shares,
 )
 from suspnet.trains.maintenance.directions import Z
-from suspnet.trains.maintenance.noise import (
-    LEAST_NOISE,
-    UNIT_KM,
-    average,
-    clip_outliers,
-    estimate_noise,
-    robust_spread,
-)
 
 HORIZON_KM = 5e6
 """Mileage after which a crossing counts as never, as no prediction reaches so far, [km]."""
-FUTURE = np.concatenate([[0.0], np.geomspace(1e-3, HORIZON_KM / UNIT_KM, 150)])
+FUTURE = np.concatenate([[0.0], np.geomspace(1e-3, HORIZON_KM / noise.UNIT_KM, 150)])
 """Mileages [UNIT_KM] after the last trip at which paths of a changing rate are sampled."""
 BEST_TRIP = 0.01
 """Lower bound of a trip's noise, relative to the median of all trips: an interval of width 0 is not
@@ -137,14 +130,16 @@ def predict_life(
         check_number("limits_pair[1]", upper, above=1)
     km, value, half = _checked_series(mileage_km, values, half_widths)
     # the noise of each trip, from its interval or, without one, from the scatter of all
-    t, sigma = (km - km[0]) / UNIT_KM, half / Z
+    t, sigma = (km - km[0]) / noise.UNIT_KM, half / Z
     is_known = np.isfinite(sigma)
-    usual = robust_spread(np.diff(np.log(value), 2), 6)
+    usual = noise.robust_spread(np.diff(np.log(value), 2), 6)
     if is_known.any():
         usual = np.median(sigma[is_known])
-    sigma = np.maximum(np.where(is_known, sigma, usual), max(LEAST_NOISE, BEST_TRIP * usual))
-    value = clip_outliers(value)
-    fits = fit_models(average(t, value, sigma), partial(estimate_noise, t, np.log(value), sigma))
+    sigma = np.maximum(np.where(is_known, sigma, usual), max(noise.LEAST_NOISE, BEST_TRIP * usual))
+    value = noise.clip_outliers(value)
+    fits = fit_models(
+        noise.average(t, value, sigma), partial(noise.estimate_noise, t, np.log(value), sigma)
+    )
     # draw nodes of all models by their probability, then each one's state and passage
     rng = np.random.default_rng(seed)
     weights = shares(fits)
@@ -255,7 +250,7 @@ def first_passage_km(
     random = np.where(u <= mean / (mean + smaller), smaller, mean * (mean / smaller))
     reached = np.where(rate > 0, 1.0, np.where(diffusion > 0, np.exp(-2 * v * d / q), 0.0)) > away
     passage = np.where(reached, np.where(diffusion > 0, random, mean), np.inf)
-    return UNIT_KM * np.where(distance <= 0, 0.0, np.where(reachable, passage, np.inf))
+    return noise.UNIT_KM * np.where(distance <= 0, 0.0, np.where(reachable, passage, np.inf))
 
 
 def changing_passage_km(
@@ -282,4 +277,4 @@ def changing_passage_km(
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.where(out.any(axis=1) & (index > 0), (limit - start) / (end - start), 0.0)
     passage = FUTURE[last] + share * (FUTURE[index] - FUTURE[last])
-    return UNIT_KM * np.where(out.any(axis=1), passage, np.inf)
+    return noise.UNIT_KM * np.where(out.any(axis=1), passage, np.inf)

@@ -8,15 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from suspnet.ground import records
 from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, Severity
-from suspnet.ground.records import (
-    INTERVAL_LEVEL,
-    Commissioning,
-    TripResult,
-    by_mileage,
-    interval_ends,
-)
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.runs.figures import MILEAGE_LABEL, SYMBOLS, say
 from suspnet.trains.maintenance.alarms import Alarm
@@ -76,22 +70,22 @@ class MileageTrend:
     again_km: tuple[float, ...] = ()
     again: str = AGAIN
     n_unplaced: int = 0
-    level: float = INTERVAL_LEVEL
+    level: float = records.INTERVAL_LEVEL
 
 
 def trend_of_trips(
-    results: Sequence[TripResult],
+    results: Sequence[records.TripResult],
     state: State,
     outputs: Sequence[str],
-    level: float = INTERVAL_LEVEL,
-    commissionings: Sequence[Commissioning] = (),
+    level: float = records.INTERVAL_LEVEL,
+    commissionings: Sequence[records.Commissioning] = (),
 ) -> MileageTrend:
     """Return the trend of a report.
 
     `results` may have any order, and are relative to the first of several `commissionings`; the
     limits of their `state` are relative to the last one.
     """
-    placed = [r for r in by_mileage(results) if np.isfinite(r.mileage_km)]
+    placed = [r for r in records.by_mileage(results) if np.isfinite(r.mileage_km)]
     km = np.array([r.mileage_km for r in placed])
     flagged = np.array([bool(r.flags) for r in placed], dtype=bool)
     now = commissionings[-1].relative if commissionings else {}
@@ -119,7 +113,7 @@ def trend_of_state(state: State) -> MileageTrend:
     panels = []
     for name in (name for name in series.outputs if name != BODY_MASS):
         values, half = series.estimates[name][placed], series.half_widths[name][placed]
-        intervals = np.stack(interval_ends(values, half), axis=1)
+        intervals = np.stack(records.interval_ends(values, half), axis=1)
         panels.append(_panel(name, state, km, values, intervals, flagged))
     since_km = series.healthy_since_km
     again_km = tuple(np.unique(since_km[np.isfinite(since_km)])[1:].tolist())

@@ -18,18 +18,9 @@ from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.fitted import Model
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground import records
 from suspnet.ground.findings import WITHOUT_SENSORS, Finding, together, with_values, without
 from suspnet.ground.parameters import REVERSE
-from suspnet.ground.records import (
-    ERROR,
-    NO_ESTIMATE,
-    OK,
-    Place,
-    Quality,
-    TripCurves,
-    TripResult,
-    sensors_text,
-)
 from suspnet.ground.storage import one_line
 from suspnet.ground.tensors import threads
 from suspnet.ground.types import FloatArray
@@ -49,7 +40,7 @@ log = logging.getLogger(__name__)
 
 def evaluate_trip(
     trip: Path | ManifestFile, models: Sequence[Model], settings: TripSettings
-) -> TripResult:
+) -> records.TripResult:
     """Return a trip's estimate, or the reason why there is none; it never fails.
 
     `trip` is its manifest; `models` has one for each speed bin and commissioning, all with the same
@@ -70,7 +61,7 @@ def evaluate_recording(
     read: Callable[[], Recording],
     models: Sequence[Model],
     settings: TripSettings,
-) -> TripResult:
+) -> records.TripResult:
     """Return the estimate from a trip's recording, or why there is none; it never fails.
 
     `read` returns the recording; an exception that it raises is the reason.
@@ -93,14 +84,14 @@ def evaluate_recording(
         _check_measured(manifest, models)
         outcome = outcome_of(read(), models, settings)
     except Exception as error:  # a fault in one trip must not end the run of a fleet
-        outcome = {"status": ERROR, "reason": _reason(error, manifest.path)}
+        outcome = {"status": records.ERROR, "reason": _reason(error, manifest.path)}
     seconds = time.perf_counter() - start
-    return _in_lines(TripResult(**(outcome | about), seconds=seconds))
+    return _in_lines(records.TripResult(**(outcome | about), seconds=seconds))
 
 
-def lost_trip(path: Path, reason: str) -> TripResult:
+def lost_trip(path: Path, reason: str) -> records.TripResult:
     """Return the result of a trip of which nothing but its manifest's path is known."""
-    return _in_lines(TripResult(path.stem, str(path), status=ERROR, reason=reason))
+    return _in_lines(records.TripResult(path.stem, str(path), status=records.ERROR, reason=reason))
 
 
 def _reason(error: Exception, manifest: Path) -> str:
@@ -110,8 +101,8 @@ def _reason(error: Exception, manifest: Path) -> str:
     return f"{type(error).__name__}: {error}"
 
 
-def _in_lines(result: TripResult) -> TripResult:
-    place = Place(*map(one_line, astuple(result.place)))
+def _in_lines(result: records.TripResult) -> records.TripResult:
+    place = records.Place(*map(one_line, astuple(result.place)))
     values = {f.name: getattr(result, f.name) for f in fields(result)}
     texts: dict[str, Any] = {
         name: with_values(value, one_line)
@@ -144,20 +135,22 @@ def outcome_of(
         "faults": together(map(str, recording.faults)),
         "read_as": recording.words,
         "wheels": wheel_words(recording, wheel_lines(recording)),
-        "sensors": sensors_text(sensor_health(recording, models[0].generator, _welch(models[0]))),
+        "sensors": records.sensors_text(
+            sensor_health(recording, models[0].generator, _welch(models[0]))
+        ),
         "segments_total": max(len(several.values) for several in segments.values()),
     }
     pairs = [(model, segments[_welch(model)]) for model in models]
     try:
         shown = read_trip(pairs, recording, settings)
     except TripError as error:  # with the quality, which may show why
-        refused = {"status": ERROR, "reason": str(error)}
-        return refused | {"start": start, "quality": Quality(**quality)}
+        refused = {"status": records.ERROR, "reason": str(error)}
+        return refused | {"start": start, "quality": records.Quality(**quality)}
     if shown.bins:
         quality |= _of_bins(shown.bins, recording)
     estimate, misfit, lost = shown.estimate, np.nan, ""
     if isinstance(estimate, NoEstimateError):
-        outcome = {"status": NO_ESTIMATE, "reason": str(estimate)}
+        outcome = {"status": records.NO_ESTIMATE, "reason": str(estimate)}
     else:
         outcome, misfit = _of_estimate(estimate), estimate.misfit
         if names := estimate.lost:
@@ -165,7 +158,7 @@ def outcome_of(
     warnings = together((*shown.doubts, lost))
     return outcome | {
         "start": start,
-        "quality": Quality(**quality, misfit=misfit, warnings=warnings),
+        "quality": records.Quality(**quality, misfit=misfit, warnings=warnings),
         "curves": _curves(largest(shown.bins), recording) if shown.bins else None,
     }
 
@@ -179,7 +172,7 @@ def _of_estimate(estimate: Estimate) -> dict[str, Any]:
         return dict(zip(estimate.names, values.tolist(), strict=True))
 
     return {
-        "status": OK,
+        "status": records.OK,
         "estimates": by_name(estimate.values[0]),
         "half_widths": by_name(estimate.half_widths[0]),
         "healthy_si": by_name(healthy.values),
@@ -229,10 +222,10 @@ def _used(bins: Sequence[SeenBin]) -> dict[Welch, int]:
     return {welch: int(segments.sum()) for welch, segments in chosen.items()}
 
 
-def _curves(best: SeenBin, recording: Recording) -> TripCurves:
+def _curves(best: SeenBin, recording: Recording) -> records.TripCurves:
     method = best.settings.method
     seen = overview(recording)
-    return TripCurves(
+    return records.TripCurves(
         frequencies_hz=best.segments.frequencies_hz.numpy(),
         responses=best.spectra.responses(method).numpy(),
         coherences=best.spectra.coherences().numpy(),

@@ -13,14 +13,7 @@ from suspnet.ground.parameters import SIDES
 from suspnet.ground.storage import distinct, read_plain
 from suspnet.ground.wording import natural
 from suspnet.trains.recordings.formats import READERS
-from suspnet.trains.trips.file_contents import (
-    Stated,
-    guessed_meaning,
-    guessed_side,
-    key_of,
-    read_value,
-    words_of,
-)
+from suspnet.trains.trips import file_contents
 
 DEEPEST = 3  # number of levels of folders that are searched
 IGNORED = ("vehicle", "outputs")  # names of folders that hold no trips
@@ -98,9 +91,9 @@ def _without_places(name: str) -> str:
 
 
 def _without_place(part: str) -> str:
-    words = words_of(part)
-    is_place = bool(words) and bool(guessed_meaning(part) or part.lower() in _GPS)
-    return "" if is_place or guessed_side(part) in SIDES else part
+    words = file_contents.words_of(part)
+    is_place = bool(words) and bool(file_contents.guessed_meaning(part) or part.lower() in _GPS)
+    return "" if is_place or file_contents.guessed_side(part) in SIDES else part
 
 
 FILE_NAMES = ("file", "datei", "dateiname", "filename", "trip", "fahrt")
@@ -109,7 +102,7 @@ WRITTEN = ("mileage_km", "start", "direction")
 """Keys of the columns of a table that is written to be completed."""
 
 
-def read_table(path: Path) -> dict[str, dict[str, Stated]]:
+def read_table(path: Path) -> dict[str, dict[str, file_contents.Stated]]:
     """Return what a table (CSV) states of each trip, by the name of a file or a trip.
 
     Columns are named as keys of a manifest, or in English or German as loggers do; others are
@@ -133,7 +126,7 @@ def read_table(path: Path) -> dict[str, dict[str, Stated]]:
     if file is None:
         raise ValueError(f"{path}: no column is called file, trip, Datei or Fahrt; it has {names}")
     # a row without a name, or with one for the second time, would be lost or win by chance
-    table: dict[str, dict[str, Stated]] = {}
+    table: dict[str, dict[str, file_contents.Stated]] = {}
     for number, row in enumerate(rows[1:], start=2):
         trip = row[file].strip() if len(row) > file else ""
         if not trip or trip in table:
@@ -141,21 +134,23 @@ def read_table(path: Path) -> dict[str, dict[str, Stated]]:
             raise ValueError(f"{path}, row {number}: it names {fault}")
         table[trip] = {}
         for name, cell in zip(names, row, strict=False):
-            key = key_of(name)
+            key = file_contents.key_of(name)
             if not key or not cell.strip():
                 continue
             # where ; delimits, a comma is that of a decimal; else the language of the name decides
-            value = read_value(key, name, cell, is_german=delimiter == ";" and "." not in cell)
+            value = file_contents.read_value(
+                key, name, cell, is_german=delimiter == ";" and "." not in cell
+            )
             if value is None:
                 unit = "; give its unit, as 252 km/h or 70 m/s" if key == "speed" else ""
                 raise ValueError(
                     f"{path}, row {number}: {name!r} cannot be read, got {cell!r}{unit}"
                 )
-            table[trip][value[0]] = Stated(value[1], f"by {path.name}")
+            table[trip][value[0]] = file_contents.Stated(value[1], f"by {path.name}")
     return table
 
 
-def table_of(trips: Iterable[tuple[Path, Mapping[str, Stated]]]) -> str:
+def table_of(trips: Iterable[tuple[Path, Mapping[str, file_contents.Stated]]]) -> str:
     """Return a table as CSV, to be completed: the first file of each trip, and what is known."""
     out = io.StringIO()
     rows = csv.writer(out, delimiter=";", lineterminator="\n")
