@@ -17,11 +17,9 @@ which is the logarithm where the magnitude m is well above the floor a and linea
 does not amplify noise where the magnitude is small.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import torch
 from numpy.typing import ArrayLike
@@ -110,13 +108,11 @@ class CurveFeatures:
         """Whether the basis has been learnt."""
         return self.basis is not None
 
-    def blank(self) -> CurveFeatures:
+    def blank(self) -> Self:
         """Return the feature set without its basis."""
         return replace(self, basis=None)
 
-    def fitted(
-        self, clean: Tensor, noisy: Tensor, healthy: Tensor, frequencies_hz: Tensor
-    ) -> CurveFeatures:
+    def fitted(self, clean: Tensor, noisy: Tensor, healthy: Tensor, frequencies_hz: Tensor) -> Self:
         """Return the feature set with a basis learnt from training curves.
 
         `clean`, `noisy` (n_curves, 2, n_freq) are the same curves without and with noise, `healthy`
@@ -183,7 +179,7 @@ class CurveFeatures:
             arrays["healthy"] = torch.view_as_real(basis.healthy)
         return {name: array.cpu().contiguous().numpy() for name, array in arrays.items()}
 
-    def restored(self, arrays: Mapping[str, FloatArray]) -> CurveFeatures:
+    def restored(self, arrays: Mapping[str, FloatArray]) -> Self:
         """Return the feature set with a stored basis; ValueError if the arrays do not fit."""
         magnitudes = "floor" in arrays
         expected = {f.name for f in fields(CurveBasis)} - (set() if magnitudes else {"floor"})

@@ -12,11 +12,9 @@ three sensors each response has an instrument: the body's for the primary suspen
 for the secondary (Söderström and Stoica, Instrumental Variable Methods for System Identification).
 """
 
-from __future__ import annotations
-
 import math
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Literal, Self
 
 import numpy as np
 import torch
@@ -45,9 +43,9 @@ class CrossSpectra(ShortRepr):
     cross: Tensor
     n_averages: float
 
-    def at(self, bins: Tensor) -> CrossSpectra:
+    def at(self, bins: Tensor) -> Self:
         """Return the spectra on chosen bins, a bool tensor (n_freq,)."""
-        return CrossSpectra(self.auto[..., bins], self.cross[..., bins], self.n_averages)
+        return replace(self, auto=self.auto[..., bins], cross=self.cross[..., bins])
 
     def between(self, x: int, y: int) -> Tensor:
         """Return S_xy, shape (..., n_freq)."""

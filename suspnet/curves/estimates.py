@@ -1,11 +1,9 @@
 """Settings of trips whose transfer functions are estimated: recording, estimator, band."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import torch
 from torch import Tensor
@@ -147,7 +145,7 @@ class EstimateSettings(Counts):
         n_segments = max(0.0, (self.minutes * 60 - welch.segment_s) / step_s + 1)
         return welch.n_averages(n_segments) if n_segments >= 1 else 0.0
 
-    def bound(self, vehicle: Vehicle) -> EstimateSettings:
+    def bound(self, vehicle: Vehicle) -> Self:
         """Return the settings with missing ends of the band filled in from the vehicle."""
         first, second = (float(mode) for mode in QuarterCar(vehicle).natural_modes()[0])
         high = min(HIGHEST_MODE * second, HIGHEST_HZ) if self.high_hz is None else self.high_hz

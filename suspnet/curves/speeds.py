@@ -1,10 +1,9 @@
 """Speeds at which a trip is read, and ranges of speeds that one model reads."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Self
 
 from suspnet.curves.welch import NEGLIGIBLE
 from suspnet.ground.findings import Finding, together
@@ -30,7 +29,7 @@ class Speeds:
         return sum(v * weight for v, weight in zip(self.m_per_s, self.weights, strict=True))
 
     @classmethod
-    def of(cls, mean_m_per_s: float, deviation_m_per_s: float) -> Speeds:
+    def of(cls, mean_m_per_s: float, deviation_m_per_s: float) -> Self:
         """Return three-point Gauss-Hermite quadrature, exact to the fifth moment of a normal."""
         if not deviation_m_per_s > NEGLIGIBLE * mean_m_per_s:
             return cls((mean_m_per_s,), (1.0,))
@@ -47,7 +46,7 @@ class SpeedRange:
     high_m_per_s: float
 
     @classmethod
-    def around(cls, trained_m_per_s: float, half_width: float) -> SpeedRange:
+    def around(cls, trained_m_per_s: float, half_width: float) -> Self:
         """Return the speeds within 1 +- `half_width` of that of the training curves."""
         return cls(trained_m_per_s * (1 - half_width), trained_m_per_s * (1 + half_width))
 

@@ -9,12 +9,11 @@ squares is that of the curve's residuals and of their coordinates z
 (`suspnet.curves.curves`), so the result has the largest posterior density.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 import torch
@@ -79,12 +78,12 @@ class Refined:
         return self.noise[:, [self.names.index(name) for name in names]]
 
     @classmethod
-    def joined(cls, parts: Sequence[Refined]) -> Refined:
+    def joined(cls, parts: Sequence[Self]) -> Self:
         """Return the estimates of several batches of curves, concatenated."""
         merged = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ROWS}
         return cls(parts[0].names, **merged)
 
-    def improved(self, rows: IntArray, other: Refined) -> Refined:
+    def improved(self, rows: IntArray, other: Self) -> Self:
         """Return the estimates with `rows` replaced by those of `other` with a smaller misfit."""
         better = (other.misfit < self.misfit[rows]) | np.isnan(self.misfit[rows])
         chosen = rows[better]
@@ -93,7 +92,7 @@ class Refined:
             values = getattr(self, name).copy()
             values[chosen] = getattr(other, name)[better]
             merged[name] = values
-        return Refined(self.names, **merged)
+        return replace(self, **merged)
 
 
 _ROWS = ("ratios", "deviations", "noise", "misfit", "converged")

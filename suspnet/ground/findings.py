@@ -6,15 +6,13 @@ Pages, mails and reports fill in the template in their language (``report.langua
 everything else that prints a finding has its English text, as a ``Finding`` is that text too.
 """
 
-from __future__ import annotations
-
 import functools
 import json
 import string
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib import resources
 from types import MappingProxyType
-from typing import IO, Any, TypeGuard
+from typing import IO, Any, Self, TypeGuard
 
 LIST, OF = "list", "of"
 WORN, WORN_ONE_OF, WITHOUT_SENSORS = "worn-part", "worn-one-of", "without-sensors"
@@ -84,7 +82,7 @@ class Finding(str):
     kind: str
     values: Mapping[str, Any]
 
-    def __new__(cls, kind: str, /, **values: Any) -> Finding:  # noqa: D102 - as the class says
+    def __new__(cls, kind: str, /, **values: Any) -> Self:  # noqa: D102 - as the class says
         plain = {name: _simple(value) for name, value in values.items()}
         if kind == LIST:
             text = plain["separator"].join(plain["parts"])

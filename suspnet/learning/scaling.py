@@ -1,8 +1,7 @@
 """Scaling of the columns of inputs and outputs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -21,7 +20,7 @@ class Scaling:
     log: bool = True
 
     @classmethod
-    def of(cls, values: FloatArray, log: bool = True) -> Scaling:
+    def of(cls, values: FloatArray, log: bool = True) -> Self:
         """Return the scaling that gives `values` (n_rows, n_columns) mean 0 and deviation 1.
 
         ValueError if a value is not finite, or not positive and `log` is True, or if a column is
@@ -39,7 +38,7 @@ class Scaling:
         return cls(mean, scale, log)
 
     @classmethod
-    def relative_changes(cls, n_columns: int, log: bool = False) -> Scaling:
+    def relative_changes(cls, n_columns: int, log: bool = False) -> Self:
         """Return the scaling of ratios to healthy v to v - 1, or to log v."""
         return cls(np.zeros(n_columns) if log else np.ones(n_columns), np.ones(n_columns), log)
 

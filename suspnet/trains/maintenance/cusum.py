@@ -4,9 +4,8 @@ Symbols: t is the index of a trip, j the number of trips in the reference, phi t
 successive trips.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -60,7 +59,7 @@ class Residuals:
     correlation: FloatArray
     usual: BoolArray
 
-    def of(self, i: int) -> Residuals:
+    def of(self, i: int) -> Self:
         """Return the residuals of the `i`-th parameter, along the last axis."""
         columns = {name: column[..., i] for name, column in vars(self).items() if column.ndim > 1}
         return replace(self, **columns)

@@ -1,8 +1,7 @@
 """Comparison of the last trips with the limits, to decide on inspection or work."""
 
-from __future__ import annotations
-
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -36,11 +35,10 @@ class LastTrips:
     all_flagged: bool = False
 
     @property
-    def newest(self) -> LastTrips:
+    def newest(self) -> Self:
         """The newest of these trips alone."""
-        at = slice(-1, None)
-        ends = self.low[at], self.high[at]
-        return LastTrips(self.values[at], *ends, self.flagged[at], self.all_flagged)
+        arrays = "values", "low", "high", "flagged"
+        return replace(self, **{name: getattr(self, name)[-1:] for name in arrays})
 
 
 @dataclass(frozen=True)

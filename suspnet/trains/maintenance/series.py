@@ -1,12 +1,10 @@
 """Trips of a suspension as arrays, with its maintenance events."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -133,7 +131,7 @@ class Series:
         ends = np.searchsorted(self.mileage_km[np.isfinite(self.mileage_km)], self.repairs)
         return np.split(np.arange(len(self.trip)), ends)
 
-    def widened(self) -> Series:
+    def widened(self) -> Self:
         """Return the trips with intervals that hold what both directions of travel show.
 
         Flagged trips, and those without a mileage or that a sensor misled, show nothing.
@@ -146,7 +144,7 @@ class Series:
         columns = self.healthy_since_km, self.estimates, self.half_widths
         return replace(self, half_widths=widened(signs, states, *columns))
 
-    def select(self, trips: BoolArray | IntArray) -> Series:
+    def select(self, trips: BoolArray | IntArray) -> Self:
         """Return the trips of a mask or of indices, as they are to be judged.
 
         Those that a sensor `misled` have no estimate there; the sensors themselves are dropped.
@@ -160,7 +158,7 @@ class Series:
         )
         return replace(self, **columns)
 
-    def equals(self, other: Series) -> bool:
+    def equals(self, other: Self) -> bool:
         """Return whether all fields are equal, with NaN equal to NaN."""
         return all(_same(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
 

@@ -1,11 +1,9 @@
 """Errors of one trip: `TripError`, and how the problems of several checks become one."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from suspnet.ground.findings import Finding, at
 from suspnet.ground.storage import NotPlainError
@@ -18,7 +16,7 @@ class TripError(ValueError):
     """
 
     @classmethod
-    def at(cls, where: object, kind: str, /, **values: Any) -> TripError:
+    def at(cls, where: object, kind: str, /, **values: Any) -> Self:
         """Return an error of one finding, with the file or sensor it is of in front."""
         return cls(at(where, kind, **values))
 

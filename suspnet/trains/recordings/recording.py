@@ -6,14 +6,13 @@ Where one of them is dead, the other one alone is the channel. Sensors at the bo
 belong to no channel.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cached_property, partial
 from itertools import chain
+from typing import Self
 
 import numpy as np
 
@@ -105,7 +104,7 @@ class Recording(ShortRepr):
         """Signals of the sensors at the bogie's other axle, by name."""
         return {name: signal for name, signal in self.values.items() if not channel_of(name)}
 
-    def without(self, dead: str) -> Recording:
+    def without(self, dead: str) -> Self:
         """Return the recording as if a sensor were dead, usable where no other one is faulty."""
         usable = np.isfinite(self.speed_m_per_s)
         faulty = {name: where for name, where in self.faulty.items() if name != dead}
