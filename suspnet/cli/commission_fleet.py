@@ -22,7 +22,7 @@ from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground import own_files
 from suspnet.ground.extras import check_extra, optional
 from suspnet.ground.progress import bar as progress_bar
-from suspnet.ground.settings import check_settings, setting
+from suspnet.ground.settings import Checked, setting
 from suspnet.ground.storage import read_json, write_atomically, write_json
 from suspnet.ground.workers import LostWorkerError, each
 from suspnet.runs.sweeps import run_errors
@@ -38,7 +38,7 @@ TrainOne = Callable[[DictConfig, Path, "Sequence[ManifestFile]"], None]
 
 
 @dataclass(frozen=True)
-class HealthySettings:
+class HealthySettings(Checked):
     """Numbers of a training on healthy trips; TypeError or ValueError if one is wrong."""
 
     n_healthy: int | None = setting(
@@ -53,9 +53,6 @@ class HealthySettings:
         low=1,
         most=1024,
     )
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
 
 @dataclass(frozen=True)

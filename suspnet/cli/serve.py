@@ -23,7 +23,7 @@ from suspnet.cli import program, signals
 from suspnet.cli.kinds import board_settings
 from suspnet.depot.live.broker import secret
 from suspnet.ground.extras import check_extra
-from suspnet.ground.settings import check_settings, setting
+from suspnet.ground.settings import Checked, setting
 from suspnet.runs.language import check_language
 from suspnet.trains.history import History
 from suspnet.trains.history.database import BusyError
@@ -40,7 +40,7 @@ ANY = "0.0.0.0"  # address that means all addresses of this computer
 
 
 @dataclass(frozen=True)
-class ServeSettings:
+class ServeSettings(Checked):
     """Numbers of the server."""
 
     port: int = setting(8050, "Port that is listened on; 0 is any that is free", low=0, high=65535)
@@ -52,9 +52,6 @@ class ServeSettings:
         high=3600,
     )
     threads: int = setting(8, "Number of answers that are made at the same time", low=1, most=64)
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
 
 @program.task

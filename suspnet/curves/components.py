@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from suspnet.curves.extraction import FeatureTable, PeakFeatures
-from suspnet.ground.settings import check_settings, setting
+from suspnet.ground.settings import Checked, setting
 from suspnet.ground.tensors import as_tensor, curves_as_tensor
 from suspnet.ground.types import FloatArray, IntArray
 
@@ -57,7 +57,7 @@ class CurveBasis:
 
 
 @dataclass(frozen=True)
-class CurveFeatures:
+class CurveFeatures(Checked):
     """Principal components of both responses or magnitudes, relative to the healthy vehicle's.
 
     `fitted` sets the `basis`.
@@ -91,9 +91,6 @@ class CurveFeatures:
     kind: ClassVar[str] = "curve"
     positive: ClassVar[bool] = False  # features may have any sign: no logarithm is taken of them
     parts: ClassVar[tuple[str, ...]] = ("curve",)  # names of the columns of the reason codes
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -23,11 +23,8 @@ class Setting:
     Examples
     --------
     >>> @dataclass
-    ... class Trip:
+    ... class Trip(Checked):
     ...     rate_hz: float = setting(100.0, "Rate of the samples", "Hz", above=0)
-    ...
-    ...     def __post_init__(self):
-    ...         check_settings(self)
     >>> Trip(-1.0)
     Traceback (most recent call last):
     ValueError: `rate_hz` must be a finite number > 0, got -1.0
@@ -98,6 +95,13 @@ def check_settings(values: Any, prefix: str = "") -> None:
     class_: Any = type(values)
     for name, declared in settings_of(class_).items():
         declared.check(f"{prefix}.{name}" if prefix else name, getattr(values, name))
+
+
+class Checked:
+    """A dataclass whose settings are checked when it is made."""
+
+    def __post_init__(self) -> None:
+        check_settings(self)
 
 
 @functools.cache

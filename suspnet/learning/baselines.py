@@ -19,7 +19,7 @@ from sklearn.utils import gen_batches
 from sklearn.utils.validation import check_is_fitted
 from torch import Tensor
 
-from suspnet.ground.settings import check_settings, setting
+from suspnet.ground.settings import Checked, setting
 from suspnet.ground.types import FloatArray
 from suspnet.learning.least_squares import (
     BEYOND,
@@ -230,7 +230,7 @@ class LinearRegression(MethodFlags, linear_model.LinearRegression):  # type: ign
 
 
 @dataclass(repr=False, eq=False)
-class CurveFit(MethodFlags, BaseEstimator):  # type: ignore[misc]
+class CurveFit(Checked, MethodFlags, BaseEstimator):  # type: ignore[misc]
     """Least-squares fit of a model's curves, started from the nearest of a set of Sobol points."""
 
     n_starts: int = setting(
@@ -245,9 +245,6 @@ class CurveFit(MethodFlags, BaseEstimator):  # type: ignore[misc]
     )
 
     works_on_curves: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
     def state(self) -> dict[str, FloatArray]:
         """Return no arrays: the method has parameters only."""

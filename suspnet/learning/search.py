@@ -17,7 +17,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.metrics import root_mean_squared_error
 from sklearn.model_selection import KFold, ParameterGrid
 
-from suspnet.ground.settings import Setting, check_settings, setting
+from suspnet.ground.settings import Checked, Setting, setting
 from suspnet.ground.types import FloatArray
 from suspnet.learning.metrics import check_estimates
 from suspnet.learning.scaling import Scaling
@@ -56,7 +56,7 @@ class SearchResult:
 
 
 @dataclass(frozen=True)
-class GridSearch:
+class GridSearch(Checked):
     """Cross-validation over every combination of a grid."""
 
     grids: Annotated[
@@ -72,9 +72,6 @@ class GridSearch:
     n_curves: int | None = setting(
         None, "Number of training curves that methods are tuned on; null is all", low=2
     )
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
     def settings_of(self, name: str) -> list[dict[str, Any]]:
         """Return every setting in a method's grid."""

@@ -8,7 +8,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 
 from suspnet.ground.findings import Finding
-from suspnet.ground.settings import LARGEST, check_settings, setting
+from suspnet.ground.settings import LARGEST, Checked, setting
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.trains.maintenance import cusum
 
@@ -25,7 +25,7 @@ others."""
 
 
 @dataclass(frozen=True)
-class ChangeSettings:
+class ChangeSettings(Checked):
     """Settings of the change detector; ValueError if one is out of range."""
 
     km_per_false_alarm: float = setting(
@@ -39,9 +39,6 @@ class ChangeSettings:
     least_percent: float = setting(
         0.1, "Smallest change that is reported", "% of healthy", low=0, below=100
     )
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.ground.settings import check_settings, setting
+from suspnet.ground.settings import Checked, setting
 from suspnet.ground.types import FloatArray
 from suspnet.trains.recordings.columns import MOST_DRIFT
 from suspnet.trains.recordings.dates import SECOND_NS
@@ -26,7 +26,7 @@ MOST_LOSSES = 64
 
 
 @dataclass(frozen=True)
-class OrderSettings:
+class OrderSettings(Checked):
     """How frames are put in order."""
 
     window: int = setting(
@@ -46,9 +46,6 @@ class OrderSettings:
         low=0,
         high=1800,
     )
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
 
 def check_frame_rate(frame: Frame, rate_hz: float, tolerance: float = RATE_TOLERANCE) -> None:
