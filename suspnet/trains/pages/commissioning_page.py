@@ -184,9 +184,7 @@ def _trips(
 
 
 def responses(
-    healthy: HealthyTrips,
-    commissioned: Sequence[ExplainedTrip],
-    drawing: Sequence[ExplainedTrip],
+    healthy: HealthyTrips, commissioned: Sequence[ExplainedTrip], drawing: Sequence[ExplainedTrip]
 ) -> Figure:
     """Draw what a trip's suspensions amplify: measured, commissioned and by the drawing."""
     # one trip is drawn: all of them would hide the band
