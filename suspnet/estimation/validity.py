@@ -73,17 +73,11 @@ def _check_method(model: TrainedModel) -> None:
     _check_healthy(model)
     for name in ("corrected", "refined"):
         check_flag(name, getattr(model, name))
-    scalings = (model.input_scaling, model.output_scaling)
     on_curves = model.estimator.works_on_curves
-    logs = (
-        (task.log_ratios and task.extractor.positive) or on_curves,
-        task.log_ratios or on_curves,
-    )
-    if not on_curves or any(scalings):
-        for name, scaling, size, log in zip(
-            ("inputs", "outputs"), scalings, (n_inputs, n_outputs), logs, strict=True
-        ):
-            _check_scaling(name, scaling, size, log)
+    if not on_curves or model.input_scaling or model.output_scaling:
+        log_inputs = (task.log_ratios and task.extractor.positive) or on_curves
+        _check_scaling("inputs", model.input_scaling, n_inputs, log_inputs)
+        _check_scaling("outputs", model.output_scaling, n_outputs, task.log_ratios or on_curves)
     if not on_curves:
         _check_estimator(model, n_inputs, n_outputs)
     _check_calibration(model, n_inputs, n_outputs)
