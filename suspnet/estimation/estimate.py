@@ -110,11 +110,7 @@ class Estimate:
             "estimates": [
                 {
                     "parameters": {
-                        name: {
-                            "value": _number(self.values[row, j]),
-                            "low": _number(self.low[row, j]),
-                            "high": _number(self.high[row, j]),
-                        }
+                        name: _ends((self.values, self.low, self.high), row, j)
                         | ({} if si is None else self._si(si, row, j))
                         for j, name in enumerate(self.names)
                     },
@@ -126,8 +122,7 @@ class Estimate:
 
     def _si(self, si: tuple[FloatArray, ...], row: int, j: int) -> dict[str, Any]:
         assert self.healthy is not None
-        ends = {key: _number(part[row, j]) for key, part in zip(ENDS, si, strict=True)}
-        return {"si": ends | {"unit": self.healthy.units[j]}}
+        return {"si": _ends(si, row, j) | {"unit": self.healthy.units[j]}}
 
     def _line(self, row: int) -> str:
         parts = []
@@ -142,8 +137,9 @@ class Estimate:
         return ", ".join(parts) + (f"; flagged: {reason}" if reason else "")
 
 
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+def _ends(arrays: tuple[FloatArray, ...], row: int, j: int) -> dict[str, Any]:
+    numbers = (float(array[row, j]) for array in arrays)
+    return dict(zip(ENDS, (x if math.isfinite(x) else None for x in numbers), strict=True))
 
 
 @dataclass(frozen=True)
