@@ -137,9 +137,8 @@ class CurveFeatures(Checked):
         responses, frequencies_hz = curves_as_tensor(responses), as_tensor(frequencies_hz)
         inside = self._inside(frequencies_hz)
         bins = frequencies_hz[inside]
-        if bins.shape != basis.frequencies_hz.shape or not torch.allclose(
-            bins, basis.frequencies_hz.to(bins), rtol=0, atol=1e-6
-        ):
+        own = basis.frequencies_hz.to(bins)
+        if bins.shape != own.shape or not torch.allclose(bins, own, rtol=0, atol=1e-6):
             raise ValueError(
                 "the curves lie on other bins than those the features were learnt on: "
                 f"{_span(bins)} instead of {_span(basis.frequencies_hz)}"

@@ -86,9 +86,8 @@ class OODDetector:
         # (n_curves, n_unknown)
         outside = np.stack([_outside(task, name, refined) for name in refined.names], axis=1)
         rows = []
-        for i, (words, distance, misfit) in enumerate(
-            zip(missing, distances, refined.misfit, strict=True)
-        ):
+        of_curves = zip(missing, distances, refined.misfit, strict=True)
+        for i, (words, distance, misfit) in enumerate(of_curves):
             reasons: list[tuple[str, str]] = (
                 [("missing", Finding("missing", words=words))] if words else []
             )

@@ -36,13 +36,9 @@ def extract(
         yield number, "ngettext" if forms[1:] else None, forms if forms[1:] else forms[0], []
 
 
+_TEXT = resources.files("suspnet.ground").joinpath("findings.txt").read_text("utf-8")
 TEMPLATES: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        kind: forms
-        for _, kind, forms in _lines(
-            resources.files("suspnet.ground").joinpath("findings.txt").read_text("utf-8")
-        )
-    }
+    {kind: forms for _, kind, forms in _lines(_TEXT)}
 )
 """The template of each kind, or its singular and plural."""
 

@@ -375,15 +375,12 @@ class Commissioning:
     @property
     def words(self) -> str:
         """Text with the healthy values in % of those of the first commissioning."""
-        ratios = together(
-            (
-                Finding("ratio", name=name, percent=100 * ratio)
-                for name, ratio in self.relative.items()
-                if name != BODY_MASS
-            ),
-            ", ",
+        ratios = (
+            Finding("ratio", name=name, percent=100 * ratio)
+            for name, ratio in self.relative.items()
+            if name != BODY_MASS
         )
-        return Finding("from-km", km=self.since_km, ratios=ratios)
+        return Finding("from-km", km=self.since_km, ratios=together(ratios, ", "))
 
 
 def outputs_of(results: Iterable[TripResult]) -> tuple[str, ...]:

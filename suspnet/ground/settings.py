@@ -61,7 +61,7 @@ class Declared:
 
     def check(self, name: str, value: Any) -> None:
         """Raise TypeError or ValueError, whose message has `name`, unless a value is valid."""
-        setting = self.setting
+        setting, several = self.setting, get_origin(self.type) is tuple
         if value is None and self.is_optional:
             return
         if self.choices:
@@ -69,11 +69,8 @@ class Declared:
             check_choice(name, value, allowed)
         elif self.type is bool:
             check_flag(name, value)
-        elif self.type in (int, float) or (
-            get_origin(self.type) is tuple and get_args(self.type)[0] in (int, float)
-        ):
+        elif (get_args(self.type)[0] if several else self.type) in (int, float):
             bounds = {key: getattr(setting, key) for key in ("low", "above", "high", "below")}
-            several = get_origin(self.type) is tuple
             if several and len(value) != len(get_args(self.type)):
                 return  # the class itself reports a wrong length
             for i, number in enumerate(value if several else [value]):

@@ -139,15 +139,13 @@ def _with_remarks(result: TripCheck, *remarks: str, **changes: Any) -> TripCheck
 def _described(path: Path, manifest: TripManifest) -> TripCheck:
     pairs = [name for name in CHANNELS if manifest.is_pair(name)]
     single = Finding("pairs", pairs=together(pairs, ", ")) if pairs else "single sensors"
-    others = [name for name in manifest.sensors() if not channel_of(name)]
+    others = together([name for name in manifest.sensors() if not channel_of(name)], ", ")
     return TripCheck(
         path,
         vehicle=manifest.vehicle,
         place=manifest.place,
         mileage_km=manifest.mileage_km,
-        sensors=together(
-            ("pairs" if len(pairs) == len(CHANNELS) else single, together(others, ", "))
-        ),
+        sensors=together(("pairs" if len(pairs) == len(CHANNELS) else single, others)),
         sources=tuple(
             f"{manifest.file_of(sensor).resolve()}: {sensor.column or ''}"
             for sensor in manifest.sensors().values()

@@ -117,15 +117,13 @@ class TripCheck:
     @property
     def words(self) -> str:
         """Amount and quality of usable data, on one line."""
-        speeds = together(
-            (
-                Finding("averages-at", n_averages=p.n_averages, speed_m_per_s=p.speed_m_per_s)
-                for p in self.parts
-            ),
-            ", ",
+        averages = (
+            Finding("averages-at", n_averages=p.n_averages, speed_m_per_s=p.speed_m_per_s)
+            for p in self.parts
         )
+        speeds = together(averages, ", ") or "no steady part"
         values = {"usable_percent": self.usable_percent, "sensors": self.sensors}
-        return Finding("usable", speeds=speeds or "no steady part", **values)
+        return Finding("usable", speeds=speeds, **values)
 
     def row(self) -> dict[str, Any]:
         """Return the check as JSON-able values."""
@@ -199,11 +197,10 @@ def suspension_sentences(checks: Sequence[TripCheck]) -> list[str]:
 
 def train_words(checks: Iterable[TripCheck]) -> list[str]:
     """Return a sentence on each vehicle with several suspensions whose manifests name no train."""
+    alone = lone_trains((check.vehicle, check.place) for check in checks)
     return [
         at(vehicle, "suspensions-without-train", n_several=len(several))
-        for vehicle, several in lone_trains(
-            (check.vehicle, check.place) for check in checks
-        ).items()
+        for vehicle, several in alone.items()
         if vehicle
     ]
 

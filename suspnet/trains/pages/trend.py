@@ -302,10 +302,8 @@ def _draw_levels(axis: Axes, panel: Panel) -> None:
 def _mark_beyond(axis: Axes, panel: Panel) -> None:
     """Mark trips beyond the axis at its edge, with their value unless no suspension has it."""
     values, edges = panel.values, axis.get_xaxis_transform()
-    for beyond, marker, edge in (
-        (values < panel.axis[0], "v", 0),
-        (values > panel.axis[1], "^", 1),
-    ):
+    ends = (values < panel.axis[0], "v", 0), (values > panel.axis[1], "^", 1)
+    for beyond, marker, edge in ends:
         for km, value in zip(panel.km[beyond] / 1000, values[beyond], strict=True):
             style: dict[str, Any] = {"ms": 6, "clip_on": False, "transform": edges, **HOLLOW}
             axis.plot(km, edge, marker, label="beyond the axis", **style)

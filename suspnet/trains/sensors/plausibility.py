@@ -229,15 +229,12 @@ def _other_order(spectra: CrossSpectra, expected: Tensor) -> tuple[float, str]:
     fits = _fits(spectra, expected)
     in_order = fits.pop(IN_ORDER)
     other = min(fits, key=fits.__getitem__)
-    swaps = together(
-        (
-            Finding("in-place-of", name=name, channels=CHANNELS[place])
-            for place, name in zip(other, CHANNELS, strict=True)
-            if CHANNELS[place] != name
-        ),
-        ", ",
+    swaps = (
+        Finding("in-place-of", name=name, channels=CHANNELS[place])
+        for place, name in zip(other, CHANNELS, strict=True)
+        if CHANNELS[place] != name
     )
-    return in_order / fits[other], swaps
+    return in_order / fits[other], together(swaps, ", ")
 
 
 def _fits(spectra: CrossSpectra, expected: Tensor) -> dict[tuple[int, ...], float]:
@@ -286,16 +283,14 @@ def _other_speed(
     fits = _fits(spectra, curves)
     if min(fits, key=fits.__getitem__) != IN_ORDER:
         return 0.0, ""
-    return fits_of_speed[0][0] / distance, (
-        Finding("speed-unit-wrong", speed=speed, given=stated, unit=unit)
-    )
+    words = Finding("speed-unit-wrong", speed=speed, given=stated, unit=unit)
+    return fits_of_speed[0][0] / distance, words
 
 
 def _check_gains(gains: list[complex]) -> None:
     """Raise TripError if a link's gain, relative to the expected one, is implausible."""
-    for (link, sink, source), gain in zip(
-        (("G_p", "bogie", "axle_box"), ("G_s", "body", "bogie")), gains, strict=True
-    ):
+    links = ("G_p", "bogie", "axle_box"), ("G_s", "body", "bogie")
+    for (link, sink, source), gain in zip(links, gains, strict=True):
         size = abs(gain)
         suspect = _suspect(gains, sink, source)
         if not 1 / GAIN_TOLERANCE < size < GAIN_TOLERANCE:
@@ -314,10 +309,8 @@ def _suspect(gains: list[complex], sink: str, source: str) -> str:
 
 def _slip(size: float) -> str:
     """Return the unit error that explains a gain; empty if none does."""
-    for factor, words in (
-        (ACCELERATION_UNITS["g"], "m/s2 and g are mixed up"),
-        (1000.0, "mm/s2 or mg?"),
-    ):
+    errors = (ACCELERATION_UNITS["g"], "m/s2 and g are mixed up"), (1000.0, "mm/s2 or mg?")
+    for factor, words in errors:
         for candidate in (factor, 1 / factor):
             if 0.5 < size / candidate < 2:
                 return words
