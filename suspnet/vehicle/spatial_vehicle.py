@@ -54,9 +54,9 @@ class SpatialVehicle(VehicleFamily):
     under the wheelsets), second_bending and body_torsion, equipment (hung below the floor),
     floors (local ones below the body's sensors), cross_axis (of the sensors), load (whose centre of
     mass may be anywhere) and nonlinear_dampers (``estimation/suspension_law.py``, with dry friction
-    beside secondary springs); roll is always one of them. The vehicle is the vertical one where nothing differs and
-    these are absent. `sensors` are from ``PLACES``, by default a pair at axle box 1, at
-    `frame_sensor` and on the body; sensitivities and delays are relative to the first of them.
+    beside secondary springs); roll is always one of them. The vehicle is the vertical one where
+    nothing differs and these are absent. `sensors` are from ``PLACES``, by default a pair at axle
+    box 1, at `frame_sensor` and on the body; sensitivities and delays are relative to the first.
 
     Examples
     --------
