@@ -25,6 +25,7 @@ from suspnet.estimation.commissioned_bogie import CommissionedBogie, HealthyScat
 from suspnet.estimation.suspension_law import SuspensionLaw
 from suspnet.ground.findings import Finding
 from suspnet.runs.language import speaking
+from suspnet.trains.fits.bogie_fit import FURTHER_PARTS
 from suspnet.trains.fits.explained_trips import explained_trips
 from suspnet.trains.identification import commissioning_summary as words
 from suspnet.trains.identification.bogie_trips import PARTS_OF_BOGIE
@@ -36,7 +37,7 @@ from suspnet.trains.pages.commissioning_page import (
     write_outcome,
 )
 from suspnet.vehicle import SpatialVehicle
-from suspnet.vehicle.quantities import QUANTITIES
+from suspnet.vehicle.quantities import QUANTITIES, SPATIAL_QUANTITIES
 
 HOSTILE = "<script>alert('x')</script> & \"$x_\" \udcff"
 
@@ -53,6 +54,11 @@ def written(commissioned, tmp_path_factory):
     write_outcome(folder, *commissioned)
     page = (folder / "commissioning.html").read_text(encoding="utf-8")
     return folder, page, json.loads((folder / "commissioning.json").read_text())
+
+
+def test_all_numbers_that_a_page_may_show_have_a_heading():
+    added = [q for q in SPATIAL_QUANTITIES if q.part in FURTHER_PARTS]
+    assert {q.part for q in (*QUANTITIES, *added)} <= set(words.PART_TITLES)
 
 
 def text_of(page):

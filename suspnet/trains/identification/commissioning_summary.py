@@ -59,6 +59,7 @@ PART_TITLES = {
     "equipment": "Equipment hung below the floor",
     "body_torsion": "Torsion of the car body",
     "floors": "Local floors below the sensors",
+    "nonlinear_dampers": "Dry friction beside the secondary springs",
 }
 
 
