@@ -95,7 +95,7 @@ def check_settings(values: Any, prefix: str = "") -> None:
 
 
 class Checked:
-    """A dataclass whose settings are checked when it is made."""
+    """Base of dataclasses that check their settings when they are made."""
 
     def __post_init__(self) -> None:
         check_settings(self)

@@ -85,9 +85,9 @@ class SpatialVehicle(VehicleFamily):
     )
     speed_scatter: float = setting(
         0.0,
-        "Standard deviation of the speed, over its mean, of what responses are the mean of",
+        "Relative standard deviation of the speed; responses are averaged over it",
         low=0,
-        high=0.1,
+        high=1,
     )
 
     def __post_init__(self) -> None:

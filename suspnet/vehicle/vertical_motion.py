@@ -15,8 +15,9 @@ A constant loss factor, j eta at every frequency, is not causal and has no motio
 Lambda(s) = sum_i l_i (s / (s + r_i) - (its real part at 2.7 Hz)) is a ladder of Maxwell branches
 (``LOSS_HZ``, ``LOSS_SHARES``). From 0.3 to 20 Hz its imaginary part is 1 within 1.3 %; the
 stiffness increases with frequency, as causality requires: (1 - 1.5 eta) k at 0.3 Hz, k at 2.7 Hz,
-(1 + 1.4 eta) k at 20 Hz. Dry friction beside a secondary spring is a ladder, too, that adds no
-stiffness at ``SLIDES_HZ``: its eta k_s is that of the healthy, empty vehicle.
+(1 + 1.4 eta) k at 20 Hz. Dry friction beside a secondary spring is the same ladder, shifted to add
+nothing at ``SLIDES_HZ``. Its eta k_s is that of the healthy, empty vehicle: it is assumed not to
+wear, and to be the same on all trips.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ LOSS_HZ = (0.2, 1.0, 5.0, 25.0)
 LOSS_SHARES = (1.377, 1.004, 0.979, 1.421)
 """Stiffness of each branch over eta k: the minimax fit of a loss of 1 from 0.3 to 20 Hz."""
 SLIDES_HZ = 0.5
-"""Frequency up to which dry friction adds no stiffness, as motions are large, [Hz]."""
+"""Frequency at which dry friction is taken to add no stiffness, as motions are large, [Hz]."""
 LOSS_REFERENCE_HZ = 2.7
 """Frequency at which the ladder does not change the stiffness, the middle of its band, [Hz]."""
 RAIL_LATERAL_M = 0.75
@@ -49,7 +50,7 @@ class Layout:
 
     `empty_body_kg`: M_s without payload [kg], for which the bending frequency holds; `floors`:
     places of sensors of the body that stand on local floors; `speed_scatter`: standard deviation of
-    the speed over its mean [-].
+    the speed over its mean [-], which only a ``SpatialVehicle`` has, as floors.
     """
 
     bogie: str
@@ -199,7 +200,6 @@ def secondary_element(
     stiffness, damping = p[f"{prefix}k_s{place}"], p[f"{prefix}c_s{place}"]
     spring, loss = stiffness, None
     if "nonlinear_dampers" in parts:
-        # dry friction beside the spring: it does not wear, and slides where motions are slow
         friction = p["secondary_loss"] * p["healthy_k_s"]
         stored, _ = _ladder(torch.full_like(friction, 2 * math.pi * SLIDES_HZ))
         spring = stiffness - friction * stored

@@ -341,7 +341,7 @@ def phasor(angle: Tensor) -> Tensor:
 def wheels_of(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> list[Tensor]:
     """Return the motion of each wheelset relative to the measured one, exp(-j omega delay).
 
-    Where the speed scatters by a share s, that is its mean over a normal distribution,
+    If the delays are normal with a relative deviation s, as the speed scatters, that is its mean,
     exp(-j omega delay - (s omega delay)^2 / 2).
     """
     # One exponential for each of the two lengths is enough for all four wheelsets.

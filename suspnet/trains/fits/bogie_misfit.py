@@ -335,7 +335,7 @@ class BogieMisfit:
     def _forces(self, x: FloatArray, i: int) -> Tensor:
         """Return what incoherent forces of both bogies' dampers do to the sensors of trip i.
 
-        Shape (n_forces, n_freq, m, m), of both kinds of dampers.
+        One for each kind of dampers and order, (n_forces, n_freq, m, m).
         """
         trip, used = self.trips[i], self.trips[i].of(self.all_bins)
         each = torch.eye(len(self.generator.columns), dtype=torch.float64)
@@ -344,10 +344,10 @@ class BogieMisfit:
         _, (changes,) = self._of(trip).channels_along(self._rows(x, i), bins_hz, each)
         changes = changes[:, self._inputs][:, :, self.sensors_of(trip)]
         kinds = [[j for j, name in enumerate(DAMPERS) if kind in name] for kind in ("c_p", "c_s")]
-        motion = self._of_dampers(x, i)
+        motion = self._damper_motion(x, i)
         return distortions(self.frequencies_hz, *motion, changes, used, kinds)
 
-    def _of_dampers(self, x: FloatArray, i: int) -> tuple[Tensor, Tensor]:
+    def _damper_motion(self, x: FloatArray, i: int) -> tuple[Tensor, Tensor]:
         """Return the responses of the dampers' velocities on trip i, and the spectra of its inputs.
 
         Shapes (n_freq, 12, p) and (n_freq, p, p). The inputs are those that the vehicle at x
@@ -365,8 +365,7 @@ class BogieMisfit:
     def _leakage(self, x: FloatArray, i: int, responses: Tensor) -> Leakage | None:
         """Return what the bins of trip i, whose responses those are, take from others.
 
-        These are their neighbours, and those of other speeds within the trip: two that have its
-        mean and standard deviation.
+        These are their neighbours, and speeds one standard deviation off the trip's mean.
         """
         trip, weights, beside = self.trips[i], [], []
         bins_hz = self.frequencies_hz[trip.of(self.all_bins)]
@@ -415,7 +414,7 @@ class BogieMisfit:
             return np.zeros((len(self.trips), len(DAMPERS)))
         width_hz, every = float(self.frequencies_hz[:2].diff()), []
         for i, trip in enumerate(self.trips):
-            velocities, inputs = self._of_dampers(x, i)
+            velocities, inputs = self._damper_motion(x, i)
             power = (velocities @ inputs * velocities.conj()).real.sum(dim=2)
             every.append(power[trip.of(self.all_bins)].sum(dim=0) * width_hz)
         return np.asarray(np.log(torch.stack(every).numpy()) / 2)

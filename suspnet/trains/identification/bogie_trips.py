@@ -27,7 +27,7 @@ from suspnet.trains.recordings.recording import Recording
 from suspnet.trains.sensors.swapped_sensors import check_order
 from suspnet.trains.spectra.bogie_trip import BogieTrip
 from suspnet.trains.spectra.segments import (
-    even_segments,
+    evened_segments,
     segment_speeds,
     sensor_segments,
     without_loud,
@@ -161,10 +161,11 @@ def _trip_of_all(
     n_bins = min(N_BINS, every - (every + 1) % 2)
     if recording.duration_s < segment_s:
         raise NoEstimateError(_too_short(0, n_sensors, segment_s, n_bins))
-    names, segments = sensor_segments(recording, Welch(segment_s))
-    levels = torch.zeros(len(segments.first))
-    if not is_few:
-        segments, levels = even_segments(recording, Welch(segment_s))
+    if is_few:
+        names, segments = sensor_segments(recording, Welch(segment_s))
+        levels = torch.zeros(len(segments.first))
+    else:
+        names, segments, levels = evened_segments(recording, Welch(segment_s))
     place_of = _places(recording.manifest, generator.frame_sensor)
     places = [place_of.get(name) for name in names]
     order = [places.index(place) for place in generator.places if place not in lost]
@@ -177,7 +178,7 @@ def _trip_of_all(
         raise NoEstimateError(_too_short(n_chosen, n_sensors, segment_s, n_bins))
     bins = _bins(segments.frequencies_hz, every)
     matrix = SpectralMatrix.of(segments, chosen, n_bins).at(bins).of_sensors(order)
-    # as large as where they are as rough as they are on average
+    # scaled to the mean log level of the chosen segments
     matrix = replace(matrix, values=matrix.values * torch.exp(2 * levels[chosen].mean()))
     frequencies_hz, lines = segments.frequencies_hz[bins], wheel_lines(recording)
     (low_hz, high_hz), reach_hz = MAINS_HZ, (HUM_BINS + n_bins // 2) / segment_s
@@ -192,7 +193,7 @@ def _trip_of_all(
         left_out,
         segments.welch,
         n_bins,
-        float(speeds[chosen].std(correction=0) / speeds[chosen].mean()),
+        0.0 if is_few else float(speeds[chosen].std(correction=0) / speeds[chosen].mean()),
     )
 
 

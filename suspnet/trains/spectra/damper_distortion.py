@@ -1,18 +1,21 @@
 """Forces of dampers that are incoherent with what excites the train.
 
-Driven by noise, a damper of any law pulls like a linear one and with a rest that is incoherent with
-its velocity (Bussgang, MIT RLE Technical Report 216, 1952). Dampers whose velocities are normal,
-with standard deviations s_i and correlations rho_ij(tau), have rests whose covariance is a sum of
-terms s_i s_j rho_ij(tau)^o (Price, IRE Trans. Inf. Theory 4, 69, 1958): those of both sides
-of a train, or of a bogie and the one that follows it, pull together where they move together. Of
-order 2 are dampers that are stronger in one direction, of order 3 and more those that blow off; of
-order 1 is what remains where their gain changes slowly, as roughness does along the line.
-With g_i(f) what the sensors do of a force of damper i that is as large as its own::
+Driven by Gaussian noise, a damper of any law pulls like a linear one and with a remainder that is
+incoherent with its velocity (Bussgang, MIT RLE Technical Report 216, 1952). Velocities of standard
+deviations s_i and correlations rho_ij(tau) give remainders whose covariance is a sum of terms in
+rho_ij(tau)^o (Price, IRE Trans. Inf. Theory 4, 69, 1958), proportional to s_i s_j if all dampers of
+a kind have one law and are about as fast over their velocity of blow-off: those of both sides of a
+train, or of a bogie and the one that follows it, pull together where they move together. Even
+orders are of dampers that are stronger in one direction, odd ones from 3 on of those that blow off;
+order 1 is what remains where their gain changes slowly, as roughness does along the line. Motion
+outside the band is not counted.
+
+With g_i(f) the sensors' response to a force as large as that of damper i::
 
     F_o(f) = sum_ij g_i(f) s_i s_j P_ij(f) g_j(f)^*,    P_ij the one-sided spectrum of rho_ij^o
 
-The product of responses V_ik of its velocity with g_i are H_ik, the change of the sensors'
-responses with the logarithm of its damping: g_i = sum_k H_ik V_ik^* / sum_k abs(V_ik)^2.
+With V_ik the response of its velocity to input k, H_ik = g_i V_ik is the change of the sensors'
+response with the logarithm of its damping: g_i = sum_k H_ik V_ik^* / sum_k abs(V_ik)^2.
 """
 
 import math
@@ -22,10 +25,10 @@ import torch
 from torch import Tensor
 
 ORDERS = (1, 2, 3, 5)
-"""Orders that count. Healthy trips of tests/rich_train.py (nonlinear, both ways, seed 0) have a
-misfit of 1.04 with the last three, and of 1.37 with forces that are incoherent with each other,
-whose shares are free at each frequency; order 1 lowers that of the sets "all", both ways, by 0.03
-to 0.05 (seeds 0, 2, 7)."""
+"""Orders that are included. Healthy trips of tests/rich_train.py (nonlinear, both ways, seed 0)
+have a misfit of 1.04 with the last three, and of 1.37 with forces that are incoherent with each
+other, whose shares are free at each frequency; order 1 lowers that of the sets "all", both ways, by
+0.03 to 0.05 (seeds 0, 2, 7)."""
 
 
 def distortions(
@@ -61,7 +64,7 @@ def distortions(
         of_kind, some = pulls[:, :, kind], rho[:, kind][:, :, kind]
         for order in ORDERS:
             density = torch.fft.fft(some**order * turn.conj(), dim=0)[used] * 2 / (n * width_hz)
-            # of bins that are no multiples of their distance, some would be negative
+            # bins that are no multiples of their distance can make eigenvalues slightly negative
             power, vectors = torch.linalg.eigh(density)
             pulled = of_kind @ vectors * power.clamp(min=0).sqrt()[:, None]
             found.append(pulled @ pulled.mH)

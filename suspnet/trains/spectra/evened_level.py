@@ -1,11 +1,11 @@
-"""Recordings as if the line were equally rough all along.
+"""Signals scaled as if the track were equally rough throughout.
 
-Rough stretches, welds and crossings would outweigh all others in averaged spectra: there are as few
-independent averages as they leave, dampers that blow off are softer there, and their incoherent
-forces (`suspnet.trains.spectra.damper_distortion`) grow faster than the motion. All signals are
-divided by one level that changes slowly, the mean of the logarithms of all sensors' spectra in
-short windows, so that no ratio of two signals changes but where the level does within the time that
-the vehicle remembers.
+Rough stretches, welds and crossings would outweigh all others in averaged spectra: fewer averages
+would count, dampers that blow off are softer there, and their incoherent forces
+(`suspnet.trains.spectra.damper_distortion`) grow faster than the motion. All signals are divided by
+one slowly varying level, whose logarithm is half the mean log spectrum of all sensors in short
+windows, so that no ratio of two signals changes but where the level does within the time that the
+vehicle remembers.
 """
 
 import numpy as np
@@ -19,20 +19,20 @@ from suspnet.ground.tensors import as_tensor
 from suspnet.ground.types import FloatArray
 
 BAND_HZ = 0.5, 18.0
-"""Band that the level is that of."""
+"""Band of the level."""
 WINDOWS = Welch(4.0, 0.75)
-"""Windows whose spectra it is the mean of."""
+"""Windows of its spectra."""
 SMOOTH_S = 2.0
 """Standard deviation of the kernel it is smoothed with, [s]."""
 SILENT = 1e-12
-"""Least density that is told from none, [(m/s^2)^2/Hz]."""
+"""Least density that counts, [(m/s^2)^2/Hz]."""
 
 
 def log_levels(signals: FloatArray, usable: NDArray[np.bool_], rate_hz: float) -> FloatArray:
     """Return the logarithm of the level at each sample, (n_samples,).
 
-    `signals` (n_sensors, n_samples) [m/s^2], `usable` (n_samples,). It is 0 on average, and
-    everywhere if no window is usable.
+    `signals` (n_sensors, n_samples) [m/s^2], `usable` (n_samples,). It is 0 on average
+    over the windows, and everywhere if fewer than two are usable.
     """
     n_samples = signals.shape[1]
     length, step = WINDOWS.sizes(rate_hz)

@@ -11,8 +11,9 @@ H those to the inputs of all::
 
 The last term is what a segment of length T leaks into a bin: with s_j the smear of its window
 (`Welch.smear`), bin f holds sum_j s_j H(f + j/T) D H(f + j/T)^*, of which G_j = H(f + j/T) - H(f)
-is not in the columns of H(f). D is taken as diagonal and smooth, so that the terms of first order
-in G_j, which j and -j have with opposite signs, cancel.
+is not in the columns of H(f). So are speeds one standard deviation off the trip's mean, with 1/2
+each. D is taken as diagonal and smooth, so that the terms of first order in G_j, which j and -j
+have with opposite signs, cancel. F_c are those of each kind of dampers and order.
 
 The shares a_k, b_c and n are those for which N is closest to what S has beyond its p strongest
 directions: with L the Cholesky factor of N, U the eigenvectors of the m - p smallest eigenvalues

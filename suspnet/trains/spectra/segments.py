@@ -49,16 +49,19 @@ def sensor_segments(recording: Recording, welch: Welch) -> tuple[list[str], Segm
     return list(sensors), _faultless(recording, np.stack(list(sensors.values())), welch)
 
 
-def even_segments(recording: Recording, welch: Welch) -> tuple[SegmentSpectra, Tensor]:
-    """Return the segments of `sensor_segments` at an even level, and the logarithm of that of each.
+def evened_segments(recording: Recording, welch: Welch) -> tuple[list[str], SegmentSpectra, Tensor]:
+    """Return the same with the level of the signals evened out, and the log level of each segment.
 
-    The latter is the mean of `log_levels` over each segment, (n_segments,).
+    The latter are means of `log_levels`, (n_segments,).
     """
-    signals = np.stack(list(recording.sensors().values()))
+    sensors = recording.sensors()
+    check_copies(sensors, recording.usable, recording.manifest.path)
+    signals = np.stack(list(sensors.values()))
     levels = log_levels(signals, recording.usable, recording.rate_hz)
     segments = _faultless(recording, signals / np.exp(levels), welch)
     length, _ = welch.sizes(recording.rate_hz)
-    return segments, as_tensor(levels).unfold(0, length, 1)[segments.first].mean(dim=1)
+    of_segments = as_tensor(levels).unfold(0, length, 1)[segments.first].mean(dim=1)
+    return list(sensors), segments, of_segments
 
 
 def _faultless(recording: Recording, signals: FloatArray, welch: Welch) -> SegmentSpectra:
