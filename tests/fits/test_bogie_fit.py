@@ -440,6 +440,25 @@ def test_the_valley_is_chosen_by_the_slowest_and_the_fastest_trip(monkeypatch):
     np.testing.assert_allclose(start, [*numbers, 0.2, 0.1, 0.3, 0.2])
 
 
+@pytest.mark.parametrize(("n_trips", "is_found"), [(3, True), (2, False)])
+def test_two_other_trips_choose_the_valley_where_the_first_end_explains_little(
+    monkeypatch, n_trips, is_found
+):
+    trips = [trip(drawn(VEHICLE, row({}), i), 70.0) for i in range(n_trips)]
+    fit, started = healthy_misfit(VEHICLE, trips), []
+    right = learnt_end(fit).x
+
+    def ended(fit, rough=1.0, first=0):
+        started.append(first)
+        return right + (0.0 if first else 2.0)
+
+    monkeypatch.setattr(bogie_search, "_first_step", ended)
+    monkeypatch.setattr(bogie_search, "search", lambda *args: (args[1], True))
+    found = learnt_end(fit)
+    assert started == [0, 1][: n_trips - 1]
+    assert (found.bare_misfit < 1.3) == is_found
+
+
 # property
 
 

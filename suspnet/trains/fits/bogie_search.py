@@ -138,8 +138,16 @@ def freed(end: SearchEnd) -> SearchEnd:
 
 
 def learnt_end(fit: BogieMisfit, rounds: int = LEARNT_ROUNDS) -> SearchEnd:
-    """Return the end of searches of healthy trips that learn the errors of the vehicle."""
-    return _learnt(SearchEnd(fit, _first_step(fit), False), rounds)
+    """Return the end of searches of healthy trips that learn the errors of the vehicle.
+
+    Where these are explained badly, two other trips choose the valley: of a linear train with four
+    trips (scenario corner_damper_fade, seed 2), the misfit was 2.2 at the first end, 1.0 at this.
+    """
+    end = _learnt(SearchEnd(fit, _first_step(fit), False), rounds)
+    if end.bare_misfit <= ENRICHED_FROM or fit.is_matched or len(fit.trips) < 3:
+        return end
+    other = _learnt(SearchEnd(fit, _first_step(fit, first=1), False), rounds)
+    return other if other.bare_misfit < MUCH_BETTER * end.bare_misfit else end
 
 
 def enriched(end: SearchEnd, parts: Sequence[str]) -> SearchEnd:
@@ -201,13 +209,13 @@ def end_near(fit: BogieMisfit, rough: float = ROUGH[0]) -> SearchEnd:
     return narrowed(fit, _first_step(fit, rough))
 
 
-def _first_step(fit: BogieMisfit, rough: float = ROUGH[0]) -> FloatArray:
+def _first_step(fit: BogieMisfit, rough: float = ROUGH[0], first: int = 0) -> FloatArray:
     """Return where the searches in bands that widen end."""
     # the slowest and the fastest trip choose the valley: the others only take time
     by_speed = sorted(range(len(fit.trips)), key=lambda i: fit.trips[i].speed_m_per_s)
     n_starts = min(MATCHED_STARTS, (len(by_speed) + 1) // 2) if fit.is_matched else 1
     ends = []
-    for start in range(n_starts):
+    for start in range(first, first + n_starts):
         unlike = sorted({by_speed[start], by_speed[-1 - start]})
         few = fit.of_trips(unlike)
         x = few.start()
