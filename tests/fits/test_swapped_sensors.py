@@ -1,5 +1,6 @@
 """Sensors of a bogie in each other's place: found by the drawing alone, and no others."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 from itertools import combinations
 
@@ -64,6 +65,22 @@ def test_an_exchange_that_no_fit_confirms_is_none(monkeypatch):
     one = trip(drawn(VEHICLE, row({}), 7), 70.0)
     monkeypatch.setattr(swapped_sensors, "likely_orders", lambda *_: [[1, 0, 2, 3, 4, 5]])
     check_order(VEHICLE, one)
+
+
+@pytest.mark.parametrize(("given", "is_told"), [(1.01, False), (1.1, True)])
+def test_an_exchange_that_explains_nothing_is_told_by_the_median_alone(monkeypatch, given, is_told):
+    """As of the body's sensors of a train with flexible modes, 23.18 for 23.04."""
+    one, swapped = trip(drawn(VEHICLE, row({}), 7), 70.0), [0, 1, 2, 3, 5, 4]
+
+    def at_median(fit, orders):
+        of_order = {tuple(range(6)): given, tuple(swapped): 1.0}
+        return np.array([of_order.get(tuple(order), 9.0) for order in orders])
+
+    ends = {id(one): 126.0}
+    monkeypatch.setattr(swapped_sensors, "misfits_in", at_median)
+    monkeypatch.setattr(swapped_sensors, "misfit_near", lambda _, one: ends.get(id(one), 41.0))
+    with pytest.raises(TripError, match="look swapped") if is_told else nullcontext():
+        check_order(VEHICLE, one)
 
 
 def test_fits_decide_where_the_given_order_has_smaller_residuals_at_the_median(monkeypatch):
