@@ -32,6 +32,7 @@ from suspnet.trains.fits.bogie_misfit import BogieMisfit
 from suspnet.trains.fits.bogie_search import (
     SearchEnd,
     best_end,
+    better_end,
     freed,
     healthy_end,
     learnt_end,
@@ -454,7 +455,7 @@ def test_two_other_trips_choose_the_valley_where_the_first_end_explains_little(
 
     monkeypatch.setattr(bogie_search, "_first_step", ended)
     monkeypatch.setattr(bogie_search, "search", lambda *args: (args[1], True))
-    found = learnt_end(fit)
+    found = better_end(fit)
     assert started == [0, 1][: n_trips - 1]
     assert (found.bare_misfit < 1.3) == is_found
 
