@@ -316,7 +316,6 @@ def test_a_speed_that_varies_within_the_trip_is_no_error_of_the_vehicle(commissi
         fit_parts(commissioned, replace(one, speed_scatter=known), start=ratios(worn))
         for known in (scatter, 0.0)
     )
-    print(found.misfit, unaware.misfit, found.values, unaware.values)
     assert found.misfit < 0.3 * unaware.misfit
     np.testing.assert_allclose(found.values, ratios(worn), rtol=2e-3)
 

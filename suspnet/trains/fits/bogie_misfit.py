@@ -467,14 +467,12 @@ class BogieMisfit:
     @cached_property
     def _vehicles(self) -> dict[tuple[float, float, Direction], SpatialVehicle]:
         """Vehicles at the trips' speeds: making one takes as long as a tenth of an evaluation."""
+        conditions = {(t.speed_m_per_s, t.speed_scatter, t.direction) for t in self.trips}
         return {
-            (trip.speed_m_per_s, trip.speed_scatter, trip.direction): replace(
-                self.generator,
-                speed_m_per_s=trip.speed_m_per_s,
-                speed_scatter=trip.speed_scatter,
-                direction=trip.direction,
-            )
-            for trip in self.trips
+            (speed, scatter, direction): replace(
+                self.generator, speed_m_per_s=speed, speed_scatter=scatter
+            ).running(direction)
+            for speed, scatter, direction in conditions
         }
 
     def _of(self, trip: BogieTrip) -> SpatialVehicle:

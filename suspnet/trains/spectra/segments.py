@@ -44,9 +44,8 @@ def sensor_segments(recording: Recording, welch: Welch) -> tuple[list[str], Segm
 
     TripError if two of them hold the same samples.
     """
-    sensors = recording.sensors()
-    check_copies(sensors, recording.usable, recording.manifest.path)
-    return list(sensors), _faultless(recording, np.stack(list(sensors.values())), welch)
+    names, signals = _all_signals(recording)
+    return names, _faultless(recording, signals, welch)
 
 
 def evened_segments(recording: Recording, welch: Welch) -> tuple[list[str], SegmentSpectra, Tensor]:
@@ -54,14 +53,18 @@ def evened_segments(recording: Recording, welch: Welch) -> tuple[list[str], Segm
 
     The latter are means of `log_levels`, (n_segments,).
     """
-    sensors = recording.sensors()
-    check_copies(sensors, recording.usable, recording.manifest.path)
-    signals = np.stack(list(sensors.values()))
+    names, signals = _all_signals(recording)
     levels = log_levels(signals, recording.usable, recording.rate_hz)
     segments = _faultless(recording, signals / np.exp(levels), welch)
     length, _ = welch.sizes(recording.rate_hz)
     of_segments = as_tensor(levels).unfold(0, length, 1)[segments.first].mean(dim=1)
-    return list(sensors), segments, of_segments
+    return names, segments, of_segments
+
+
+def _all_signals(recording: Recording) -> tuple[list[str], FloatArray]:
+    sensors = recording.sensors()
+    check_copies(sensors, recording.usable, recording.manifest.path)
+    return list(sensors), np.stack(list(sensors.values()))
 
 
 def _faultless(recording: Recording, signals: FloatArray, welch: Welch) -> SegmentSpectra:
