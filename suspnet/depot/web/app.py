@@ -201,10 +201,11 @@ def http_server(app: Flask, listening: socket.socket, threads: int, prefix: str 
 
 
 LOOPBACK = ("127.0.0.1", "localhost")  # host names of pages requested on this computer
+SCRIPTS_AND_STYLES = (
+    "default-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'; "
+    "object-src 'none'"
+)
 HEADERS = {
-    "Cache-Control": "no-store",
-    "Content-Security-Policy": "default-src 'self'; base-uri 'none'; form-action 'self'; "
-    "frame-ancestors 'none'; object-src 'none'",
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
     "Referrer-Policy": "same-origin",
@@ -212,7 +213,6 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Permissions-Policy": "camera=(), geolocation=(), microphone=()",
 }
-"""Headers of all responses but those that set their own."""
 
 
 def is_loopback(host: str) -> bool:
@@ -247,4 +247,6 @@ def protect(app: Flask, hosts: Sequence[str]) -> CSRFProtect:
 def _with_headers(response: Response) -> Response:
     for name, value in HEADERS.items():
         response.headers.setdefault(name, value)
+    response.headers["Content-Security-Policy"] = SCRIPTS_AND_STYLES
+    response.headers.setdefault("Cache-Control", "no-store")
     return response
