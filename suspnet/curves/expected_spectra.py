@@ -63,8 +63,6 @@ class ExpectedSpectra:
         bins = frequencies_hz
         self._bins = torch.cat([bins[0] - more.flip(0), bins, bins[-1] + more])
         self._density = self._density_at(1.0)
-        healthy = torch.ones(1, len(PARAMETERS), dtype=torch.float64)
-        self._n_inputs = generator.channels(healthy, self._bins[:1]).shape[1]
 
     def __call__(self, ratios: Tensor) -> tuple[Tensor, Tensor]:
         """Return auto and cross spectra of each vehicle, each (n_vehicles, 3, n_freq)."""
@@ -73,6 +71,11 @@ class ExpectedSpectra:
         blocks = [self._of(block) for block in as_tensor(ratios).split(n_at_once)]
         auto, cross = map(torch.cat, zip(*blocks, strict=True))
         return auto, cross
+
+    @cached_property
+    def _n_inputs(self) -> int:
+        healthy = torch.ones(1, len(PARAMETERS), dtype=torch.float64)
+        return self._generator.channels(healthy, self._bins[:1]).shape[1]
 
     def _of(self, ratios: Tensor) -> tuple[Tensor, Tensor]:
         if self._relative is None:
